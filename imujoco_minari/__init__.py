@@ -1,0 +1,54 @@
+"""Minari-compatible dataset publisher for iMuJoCo, a benchmark of perturbed MuJoCo robots.
+
+Importing this package registers every variant of the catalogue with Gymnasium. Anything heavier
+(MuJoCo, Minari, torch) is imported when it is first used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+from imujoco_minari.errors import ImujocoError
+from imujoco_minari.registration import make, register, register_catalogue
+from imujoco_minari.variants import Variant, bases, catalogue
+
+if TYPE_CHECKING:
+    from imujoco_minari.combining import combine_datasets
+    from imujoco_minari.mjcf import canonical_mjcf
+    from imujoco_minari.policies import load_policy
+    from imujoco_minari.publishing import publish
+    from imujoco_minari.verification import verify
+
+__version__ = version("imujoco-minari")
+__all__ = [
+    "ImujocoError",
+    "Variant",
+    "bases",
+    "canonical_mjcf",
+    "catalogue",
+    "combine_datasets",
+    "load_policy",
+    "make",
+    "publish",
+    "register",
+    "verify",
+]
+
+_LAZY = {
+    "canonical_mjcf": "mjcf",
+    "combine_datasets": "combining",
+    "load_policy": "policies",
+    "publish": "publishing",
+    "verify": "verification",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _LAZY:
+        return getattr(import_module(f"imujoco_minari.{_LAZY[name]}"), name)
+    raise AttributeError(f"module 'imujoco_minari' has no attribute {name!r}")
+
+
+register_catalogue()

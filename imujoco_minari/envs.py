@@ -1,0 +1,156 @@
+"""Variants as Gymnasium environments.
+
+Each class is Gymnasium's own v5 environment of the robot around the canonical model of a variant:
+observations, actions, rewards and termination are its, only the model (and, for length variants,
+the healthy height range) differs. :class:`CollectionEnv` is the environment of a combined dataset.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+from gymnasium.envs.mujoco.half_cheetah_v5 import HalfCheetahEnv
+from gymnasium.envs.mujoco.hopper_v5 import HopperEnv
+from gymnasium.envs.mujoco.mujoco_env import MujocoEnv
+from gymnasium.envs.mujoco.walker2d_v5 import Walker2dEnv
+from gymnasium.utils import EzPickle
+
+from imujoco_minari import mjcf
+from imujoco_minari.errors import VariantError, suggestion
+from imujoco_minari.variants import Variant, specification
+
+
+class VariantEnv(MujocoEnv, EzPickle):
+    """What the three robots' variant environments share.
+
+    Args:
+        variant: a variant id, as in ``hopper-massdec_25_leggeom``.
+        **kwargs: what Gymnasium's environment of the robot takes, ``render_mode`` among them.
+
+    Attributes:
+        variant: the :class:`~imujoco_minari.variants.Variant`.
+        mjcf: the canonical MJCF text that the simulation runs.
+    """
+
+    def __init__(self, variant: str, **kwargs: Any) -> None:
+        self.variant = Variant.parse(variant)
+        robot = specification(self.variant.robot)
+        if robot.environment != self.robot_environment:
+            raise VariantError(f"{variant!r} is no variant of {self.robot_environment}")
+        self.mjcf = mjcf.canonical_mjcf(self.variant)
+        z_range = mjcf.healthy_z_range(self.variant)
+        defaults = {} if z_range is None else {"healthy_z_range": z_range}
+        super().__init__(**(defaults | kwargs))
+        # The parent recorded its own arguments for pickling; these make this environment again.
+        EzPickle.__init__(self, variant, **kwargs)
+
+    robot_environment: str
+
+    def _initialize_simulation(self) -> tuple[Any, Any]:
+        model = mjcf.compile_mjcf(self.mjcf)
+        model.vis.global_.offwidth = max(model.vis.global_.offwidth, self.width)
+        model.vis.global_.offheight = max(model.vis.global_.offheight, self.height)
+        return model, mujoco.MjData(model)
+
+
+class HopperVariantEnv(VariantEnv, HopperEnv):
+    """``Hopper-v5`` with the model of a variant (observation 11, action 3)."""
+
+    robot_environment = "Hopper-v5"
+
+
+class HalfCheetahVariantEnv(VariantEnv, HalfCheetahEnv):
+    """``HalfCheetah-v5`` with the model of a variant (observation 17, action 6)."""
+
+    robot_environment = "HalfCheetah-v5"
+
+
+class Walker2dVariantEnv(VariantEnv, Walker2dEnv):
+    """``Walker2d-v5`` with the model of a variant (observation 17, action 6)."""
+
+    robot_environment = "Walker2d-v5"
+
+
+ENVIRONMENTS: dict[str, type[VariantEnv]] = {
+    "hopper": HopperVariantEnv,
+    "halfcheetah": HalfCheetahVariantEnv,
+    "walker2d": Walker2dVariantEnv,
+}
+
+
+class CollectionEnv(gym.Env[Any, Any], EzPickle):
+    """One robot in many variants, one of them an episode.
+
+    ``reset(options={"variant": id})`` takes that variant, and then equals the variant's own
+    environment reset with the same seed. Without the option the seed draws the variant.
+
+    Args:
+        variants: ids of variants of one robot.
+        **kwargs: passed to each variant's environment.
+    """
+
+    metadata = {"render_modes": ["human", "rgb_array", "depth_array", "rgbd_tuple"]}
+
+    def __init__(self, variants: Sequence[str], **kwargs: Any) -> None:
+        EzPickle.__init__(self, variants, **kwargs)
+        parsed = [Variant.parse(variant) for variant in variants]
+        robots = sorted({variant.robot for variant in parsed})
+        if len(robots) != 1:
+            raise VariantError(f"a collection holds variants of one robot, not of {', '.join(robots) or 'none'}")
+        self.variants = tuple(str(variant) for variant in parsed)
+        self.render_mode = kwargs.get("render_mode")
+        self._make = ENVIRONMENTS[robots[0]]
+        self._kwargs = kwargs
+        self._environments: dict[str, VariantEnv] = {}
+        self._current = self._environment(self.variants[0])
+        self.metadata = self._current.metadata
+        self.observation_space = self._current.observation_space
+        self.action_space = self._current.action_space
+
+    @property
+    def variant(self) -> Variant:
+        """The variant of the present episode."""
+        return self._current.variant
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode, of ``options["variant"]`` if given, else of one drawn by ``seed``.
+
+        Raises:
+            VariantError: when the collection has no such variant.
+        """
+        super().reset(seed=seed)
+        name = (options or {}).get("variant")
+        if name is None:
+            name = self.variants[int(self.np_random.integers(len(self.variants)))]
+        elif name not in self.variants:
+            raise VariantError(
+                f"variant {name!r} is not in this collection{suggestion(str(name)[:80], self.variants)}; "
+                f"it has {len(self.variants)}, from {self.variants[0]} to {self.variants[-1]}"
+            )
+        if seed is None:
+            seed = int(self.np_random.integers(np.iinfo(np.int64).max))
+        self._current = self._environment(name)
+        observation, info = self._current.reset(seed=seed)
+        return observation, info | {"variant": name}
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Step the present variant's environment."""
+        return self._current.step(action)
+
+    def render(self) -> Any:
+        """Render the present variant's environment."""
+        return self._current.render()
+
+    def close(self) -> None:
+        """Close every variant's environment."""
+        for environment in self._environments.values():
+            environment.close()
+
+    def _environment(self, name: str) -> VariantEnv:
+        if name not in self._environments:
+            self._environments[name] = self._make(name, **self._kwargs)
+        return self._environments[name]

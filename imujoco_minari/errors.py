@@ -1,0 +1,72 @@
+"""Every error that a user's mistake or a broken file can cause.
+
+Each is an :class:`ImujocoError` and also the builtin that fits, so that callers may catch either.
+A message names the thing, says what is wrong, and lists the valid choices or the nearest match.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+
+class ImujocoError(Exception):
+    """The base of all errors raised by this package."""
+
+
+class VariantError(ImujocoError, ValueError):
+    """An id, robot, category, percent or body that does not name a variant."""
+
+
+class CatalogueError(ImujocoError, ValueError):
+    """A catalogue file that does not say what a catalogue says."""
+
+
+class ModelError(ImujocoError, ValueError):
+    """An MJCF model that cannot be built or compiled."""
+
+
+class PolicyError(ImujocoError, ValueError):
+    """A policy file that cannot be read, or that does not fit the robot."""
+
+
+class PolicyNotFoundError(ImujocoError, FileNotFoundError):
+    """No policy is shipped, or lies at the given path, for what was asked."""
+
+
+class DatasetError(ImujocoError, ValueError):
+    """A dataset whose content or identity is not what it must be."""
+
+
+class DatasetExistsError(ImujocoError, FileExistsError):
+    """A dataset id that is already taken."""
+
+
+class DatasetNotFoundError(ImujocoError, FileNotFoundError):
+    """A dataset id that names nothing in the Minari root."""
+
+
+class StorageError(ImujocoError, OSError):
+    """The Minari root, or another place to write to, cannot be used."""
+
+
+class TrainingError(ImujocoError, RuntimeError):
+    """Training cannot start, continue or end as asked."""
+
+
+class DependencyError(ImujocoError, ImportError):
+    """An optional package is needed and not installed."""
+
+
+def missing_dependency(package: str, extra: str, purpose: str) -> DependencyError:
+    """Return the error for an optional ``package`` that ``purpose`` needs, with its remedy."""
+    return DependencyError(
+        f"{purpose} needs {package}, which is not installed: "
+        f'run `pip install "imujoco-minari[{extra}]"`'
+    )
+
+
+def suggestion(word: str, choices: Iterable[str]) -> str:
+    """Return `` (did you mean 'x'?)`` for the choice nearest to ``word``, or an empty string."""
+    near = get_close_matches(word, list(choices), n=1, cutoff=0.6)
+    return f" (did you mean {near[0]!r}?)" if near else ""

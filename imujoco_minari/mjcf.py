@@ -1,0 +1,231 @@
+"""From a variant to the one canonical MJCF text that everything downstream loads.
+
+The start is the robot's Gymnasium v5 model. Its compiled inertias are written into it first, which
+frees HalfCheetah of ``settotalmass`` (it would rescale every limb when one changes) and leaves every
+field of the compiled model as it was, bit for bit. Then one function a category makes its one edit.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from functools import lru_cache
+from importlib import resources
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from imujoco_minari.errors import ModelError
+from imujoco_minari.variants import BASE, Variant, specification
+
+Array = NDArray[np.float64]
+
+
+@lru_cache(maxsize=256)
+def canonical_mjcf(variant: Variant) -> str:
+    """Return the MJCF text of ``variant``; loading it gives the model to the last bit.
+
+    Raises:
+        ModelError: when MuJoCo cannot compile the edited model.
+    """
+    return _edited(variant)[0]
+
+
+def mjcf_sha256(text: str) -> str:
+    """Return the hexadecimal SHA-256 of an MJCF text."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def healthy_z_range(variant: Variant) -> tuple[float, float] | None:
+    """Return the torso heights (m) outside which an episode of ``variant`` ends, or None if none does.
+
+    A length variant's root is raised or lowered to stand on the floor, and the range moves with it.
+    """
+    base = specification(variant.robot).healthy_z_range
+    if base is None:
+        return None
+    shift = root_shift(variant)
+    return base[0] + shift, base[1] + shift
+
+
+@lru_cache(maxsize=256)
+def root_shift(variant: Variant) -> float:
+    """Return by how much (m) the root of ``variant`` stands higher than the base robot's."""
+    return _edited(variant)[1]
+
+
+def compile_mjcf(text: str) -> Any:
+    """Return the ``mujoco.MjModel`` of an MJCF text.
+
+    Raises:
+        ModelError: when MuJoCo cannot compile it.
+    """
+    try:
+        return mujoco.MjModel.from_xml_string(text)
+    except ValueError as error:
+        raise ModelError(f"MuJoCo cannot compile the model: {error}") from None
+
+
+def lowest_point(model: Any) -> float:
+    """Return the height (m) of the lowest point of the robot's capsules in the rest pose, floor at 0."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    capsules = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE)
+    axis_z = data.geom_xmat.reshape(-1, 3, 3)[capsules, 2, 2]
+    radius, half = model.geom_size[capsules, 0], model.geom_size[capsules, 1]
+    return float(np.min(data.geom_xpos[capsules, 2] - np.abs(axis_z) * half - radius))
+
+
+def _edited(variant: Variant) -> tuple[str, float]:
+    spec = _baked(variant.robot)
+    shift = _EDITS[variant.category](spec, variant) if variant.category != BASE else 0.0
+    try:
+        spec.compile()
+        return str(spec.to_xml()), shift
+    except ValueError as error:
+        raise ModelError(f"{variant}: MuJoCo cannot compile the edited model: {error}") from None
+
+
+def _baked(robot: str) -> Any:
+    """Return the base robot's spec with its compiled inertias written out."""
+    asset = resources.files("gymnasium.envs.mujoco") / "assets" / specification(robot).model
+    text = asset.read_text("utf-8")
+    spec = mujoco.MjSpec.from_string(text)
+    # to_xml() would otherwise round what it writes to six digits.
+    spec.compiler.savecompiled = False
+    total_mass, spec.compiler.settotalmass = spec.compiler.settotalmass, -1.0
+    stock = spec.compile()
+    if total_mass > 0:
+        mujoco.mj_setTotalmass(stock, total_mass)
+    spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+    for body in spec.bodies[1:]:
+        compiled = stock.body(body.name)
+        body.explicitinertial = True
+        body.mass = compiled.mass[0]
+        body.inertia = compiled.inertia
+        body.ipos = compiled.ipos
+        body.iquat = compiled.iquat
+    return spec
+
+
+def _edit_mass(spec: Any, variant: Variant) -> float:
+    """Scale the mass of the body's one geom, and its inertia with it."""
+    for body in _bodies(spec, variant):
+        body.mass *= variant.factor
+        body.inertia = body.inertia * variant.factor
+    return 0.0
+
+
+def _edit_joint(spec: Any, variant: Variant) -> float:
+    """Scale both ends of the joint's range."""
+    for name in variant.mjcf_names:
+        joint = spec.joint(name)
+        joint.range = joint.range * variant.factor
+    return 0.0
+
+
+def _edit_length(spec: Any, variant: Variant) -> float:
+    """Stretch the capsule away from its joint, move what hangs on it, and stand the robot on the floor."""
+    base = spec.compile()
+    clearance = lowest_point(base)
+    for body in _bodies(spec, variant):
+        _stretch(body, _capsule_axis(base, body.geoms[0].name), variant.factor)
+    shift = clearance - lowest_point(spec.compile())
+    root = spec.bodies[1]
+    root.pos = root.pos + [0.0, 0.0, shift]
+    for joint in root.joints:
+        if joint.ref != 0.0:
+            # Where the vertical slide's value is the torso's height, it still is.
+            joint.ref += shift
+            joint.pos = joint.pos - [0.0, 0.0, shift]
+    return shift
+
+
+def _edit_friction(spec: Any, variant: Variant) -> float:
+    """Give the contacts between feet and floor, and only those, a scaled sliding friction.
+
+    A contact takes the larger of its two geoms' frictions, so a smaller one on the foot alone would
+    change little or nothing. An explicit contact pair decides alone; its other parameters are what
+    MuJoCo derives for that contact from the two geoms.
+    """
+    floor = spec.geom("floor")
+    for name in variant.mjcf_names:
+        foot = spec.geom(name)
+        slide, spin, roll = np.maximum(foot.friction, floor.friction)
+        slide *= variant.factor
+        pair = spec.add_pair(geomname1="floor", geomname2=name)
+        pair.condim = max(foot.condim, floor.condim)
+        pair.friction = [slide, slide, spin, roll, roll]
+        pair.solref = (foot.solref + floor.solref) / 2
+        pair.solimp = (foot.solimp + floor.solimp) / 2
+        pair.margin = foot.margin + floor.margin
+        pair.gap = foot.gap + floor.gap
+    return 0.0
+
+
+_EDITS: dict[str, Callable[[Any, Variant], float]] = {
+    "mass": _edit_mass,
+    "joint": _edit_joint,
+    "length": _edit_length,
+    "friction": _edit_friction,
+}
+
+
+def _bodies(spec: Any, variant: Variant) -> list[Any]:
+    bodies = [spec.geom(name).parent for name in variant.mjcf_names]
+    for body in bodies:
+        if len(body.geoms) != 1:
+            raise ModelError(f"{variant}: body {body.name!r} has several geoms, and one cannot change alone")
+    return bodies
+
+
+def _stretch(body: Any, axis: Array, factor: float) -> None:
+    """Scale the segment of a limb's capsule by ``factor``, radius and density kept.
+
+    The point of the segment nearest to the limb's joint stays where it is: an end for most limbs, the
+    ankle for Hopper's foot, whose heel stands out behind it; the centre for the torso. Child bodies
+    move with the end they hang on.
+    """
+    if factor == 1.0:
+        # From mass to density and back would cost the last bit.
+        return
+    geom = body.geoms[0]
+    radius, half = geom.size[0], geom.size[1]
+    centre = np.array(geom.pos)
+    density = body.mass / _capsule_volume(radius, half)
+    hinges = [joint for joint in body.joints if joint.name not in _ROOT_JOINTS]
+    fixed = 0.0 if not hinges else float(np.clip((hinges[0].pos - centre) @ axis, -half, half))
+
+    def moved(along: float) -> Array:
+        return (factor - 1.0) * (along - fixed) * axis
+
+    for child in body.bodies:
+        along = (_attachment(child) - centre) @ axis
+        child.pos = child.pos + moved(half if along >= fixed else -half)
+    geom.pos = centre + moved(0.0)
+    geom.size = [radius, half * factor, 0.0]
+    # The body's inertia follows from its geom again.
+    geom.density = density
+    body.explicitinertial = False
+
+
+_ROOT_JOINTS = frozenset({"rootx", "rootz", "rooty"})
+
+
+def _attachment(child: Any) -> Array:
+    """Return where (m, in the parent's frame) a child body is hinged to its parent."""
+    # None of the robots' bodies is rotated against its parent in the rest pose.
+    return np.asarray(child.pos + child.joints[0].pos, dtype=np.float64)
+
+
+def _capsule_axis(model: Any, name: str) -> Array:
+    """Return the unit vector of a capsule's axis in its body's frame."""
+    axis = np.empty(3)
+    mujoco.mju_rotVecQuat(axis, np.array([0.0, 0.0, 1.0]), model.geom(name).quat)
+    return axis
+
+
+def _capsule_volume(radius: float, half: float) -> float:
+    return float(np.pi * radius**2 * (2.0 * half + 4.0 / 3.0 * radius))
