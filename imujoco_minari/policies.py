@@ -1,0 +1,359 @@
+"""Policies: a random one, the shipped actors, and actors out of Stable-Baselines3 zips.
+
+An :class:`Actor` is SAC's squashed Gaussian (the shape TQC and other kin share). It acts in NumPy, a
+tenth of the time of ``SAC.predict``, and its deterministic action equals ``SAC.predict``'s within
+float32 rounding. A zip from outside is read without running anything that it contains.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from importlib import resources
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imujoco_minari.errors import PolicyError, PolicyNotFoundError
+from imujoco_minari.variants import EXPERT, Variant
+
+Array = NDArray[Any]
+
+# Observation and action sizes of the robots' v5 environments.
+SIZES = {"hopper": (11, 3), "halfcheetah": (17, 6), "walker2d": (17, 6)}
+# A default SAC zip holds 3 MB; anything near this is no policy of these robots.
+MAX_ZIP_ENTRY = 64 * 2**20
+
+_LOG_STD_RANGE = (-20.0, 2.0)
+_ACTIVATIONS = ("ReLU", "Tanh", "ELU", "SiLU")
+
+
+class Policy(Protocol):
+    """What chooses actions, and what a dataset records of it."""
+
+    @property
+    def algorithm(self) -> str:
+        """Name of the algorithm that made the policy, as in ``TQC`` or ``random``."""
+
+    @property
+    def sha256(self) -> str:
+        """Digest of all that decides its actions."""
+
+    @property
+    def deterministic(self) -> bool:
+        """Whether the same observation always gives the same action."""
+
+    def act(self, observation: Array, rng: np.random.Generator) -> Array:
+        """Return the action (float32) for one observation (float64)."""
+
+
+@dataclass(frozen=True)
+class RandomPolicy:
+    """Actions drawn uniformly from ``[-1, 1]``, the action space of all three robots."""
+
+    action_size: int
+    algorithm: str = "random"
+    deterministic: bool = False
+
+    @property
+    def sha256(self) -> str:
+        """Digest of its name: a random policy has no weights."""
+        return hashlib.sha256(b"uniform [-1, 1]").hexdigest()
+
+    def act(self, observation: Array, rng: np.random.Generator) -> Array:
+        """Return a uniformly random action."""
+        return rng.uniform(-1.0, 1.0, self.action_size).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Actor:
+    """SAC's squashed Gaussian actor: a multilayer perceptron, then mean and log deviation.
+
+    Attributes:
+        weights: Stable-Baselines3's names (``latent_pi.0.weight`` ... ``mu.weight``, ``log_std.bias``)
+            to float32 arrays, weights of shape (out, in).
+        algorithm: name of the algorithm that trained it.
+        deterministic: whether it acts by its mode or by a sample.
+        activation: the hidden layers' activation, a torch class name.
+        record: how it was trained and what it scores, for shipped weights.
+    """
+
+    weights: Mapping[str, Array]
+    algorithm: str = "SAC"
+    deterministic: bool = True
+    activation: str = "ReLU"
+    record: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        _check_shapes(self.weights)
+        if self.activation not in _ACTIVATIONS:
+            raise PolicyError(f"activation {self.activation!r} is not supported; valid: {', '.join(_ACTIVATIONS)}")
+
+    @property
+    def observation_size(self) -> int:
+        """Length of the observation it takes."""
+        return int(self.weights["latent_pi.0.weight"].shape[1])
+
+    @property
+    def action_size(self) -> int:
+        """Length of the action it gives."""
+        return int(self.weights["mu.bias"].shape[0])
+
+    @cached_property
+    def sha256(self) -> str:
+        """Digest of the weights (names, shapes, float32 bytes) and the activation."""
+        digest = hashlib.sha256(self.activation.encode())
+        for name in sorted(self.weights):
+            array = np.ascontiguousarray(self.weights[name], dtype="<f4")
+            digest.update(f"{name}{array.shape}".encode())
+            digest.update(array.tobytes())
+        return digest.hexdigest()
+
+    def act(self, observation: Array, rng: np.random.Generator) -> Array:
+        """Return the action for an observation of shape ``(n,)`` or a batch ``(b, n)``."""
+        latent = observation.astype(np.float32)
+        for weight, bias in self._hidden:
+            latent = self._activate(latent @ weight + bias)
+        mean = latent @ self._mean[0] + self._mean[1]
+        if not self.deterministic:
+            log_std = np.clip(latent @ self._log_std[0] + self._log_std[1], *_LOG_STD_RANGE)
+            mean = mean + np.exp(log_std) * rng.standard_normal(mean.shape, dtype=np.float32)
+        action: Array = np.tanh(mean)
+        return action
+
+    def check(self, robot: str) -> None:
+        """Raise a :class:`PolicyError` unless the actor fits ``robot``."""
+        sizes = (self.observation_size, self.action_size)
+        if sizes != SIZES[robot]:
+            fits = [name for name, expected in SIZES.items() if expected == sizes]
+            raise PolicyError(
+                f"the policy maps {sizes[0]} observations to {sizes[1]} actions, but {robot} has "
+                f"{SIZES[robot][0]} and {SIZES[robot][1]}" + (f"; it fits {' and '.join(fits)}" if fits else "")
+            )
+
+    @cached_property
+    def _hidden(self) -> list[tuple[Array, Array]]:
+        return [self._layer(f"latent_pi.{2 * i}") for i in range(_depth(self.weights))]
+
+    @cached_property
+    def _mean(self) -> tuple[Array, Array]:
+        return self._layer("mu")
+
+    @cached_property
+    def _log_std(self) -> tuple[Array, Array]:
+        return self._layer("log_std")
+
+    def _layer(self, name: str) -> tuple[Array, Array]:
+        # Transposed once and contiguous: a row vector times it is the fastest product NumPy has.
+        return (
+            np.ascontiguousarray(self.weights[f"{name}.weight"].T, dtype=np.float32),
+            self.weights[f"{name}.bias"].astype(np.float32),
+        )
+
+    def _activate(self, x: Array) -> Array:
+        if self.activation == "ReLU":
+            return np.maximum(x, 0.0, out=x)
+        if self.activation == "Tanh":
+            return np.asarray(np.tanh(x))
+        if self.activation == "ELU":
+            return np.where(x > 0, x, np.expm1(np.minimum(x, 0.0)))
+        return np.asarray(x / (1.0 + np.exp(-x)))
+
+
+def load_policy(
+    variant: Variant | str, *, tier: str = EXPERT, path: str | Path | None = None, stochastic: bool = False
+) -> Policy:
+    """Return the policy that makes a variant's data of a tier.
+
+    Args:
+        variant: a variant or its id.
+        tier: ``expert`` or ``random``; ignored when ``path`` is given.
+        path: a Stable-Baselines3 ``.zip`` or an actor's ``.safetensors`` to use instead.
+        stochastic: sample actions instead of taking their mode.
+
+    Raises:
+        PolicyNotFoundError: when no policy is shipped for the variant and tier, or ``path`` is missing.
+        PolicyError: when the file is no policy, or its shape does not fit the robot.
+    """
+    if isinstance(variant, str):
+        variant = Variant.parse(variant)
+    if path is not None:
+        actor = read_actor(Path(path), deterministic=not stochastic)
+        actor.check(variant.robot)
+        return actor
+    if tier == "random":
+        return RandomPolicy(SIZES[variant.robot][1])
+    if tier == EXPERT:
+        return shipped_actor(variant, deterministic=not stochastic)
+    raise PolicyNotFoundError(f"no policy makes the tier {tier!r}; valid: {EXPERT}, random, or any name with --policy FILE")
+
+
+def shipped_actor(variant: Variant, *, deterministic: bool = True) -> Actor:
+    """Return the expert actor that the package ships for ``variant``.
+
+    Raises:
+        PolicyNotFoundError: when none is shipped.
+    """
+    weights, record = _weights_folder() / f"{variant}.safetensors", shipped_record(variant)
+    if not weights.is_file() or not record:
+        raise PolicyNotFoundError(
+            f"no expert policy is shipped for {variant}: train one with `imujoco train {variant}`, "
+            f"or give one with --policy FILE; {len(shipped_variants())} are shipped, see `imujoco policies`"
+        )
+    return _actor_of(weights.read_bytes(), f"{variant}.safetensors", record["algorithm"], deterministic, record)
+
+
+def shipped_record(variant: Variant) -> Mapping[str, Any]:
+    """Return the training record that is shipped for ``variant``; empty when there is none."""
+    path = _weights_folder() / f"{variant}.json"
+    if not path.is_file():
+        return {}
+    record: Mapping[str, Any] = json.loads(path.read_text("utf-8"))
+    return record
+
+
+def shipped_variants() -> tuple[Variant, ...]:
+    """Return the variants whose expert policies are shipped, sorted."""
+    names = (item.name for item in _weights_folder().iterdir())
+    return tuple(sorted(Variant.parse(name.removesuffix(".json")) for name in names if name.endswith(".json")))
+
+
+def read_actor(path: Path, *, deterministic: bool = True) -> Actor:
+    """Read an actor from a Stable-Baselines3 ``.zip`` or a ``.safetensors`` file.
+
+    Raises:
+        PolicyNotFoundError: when there is no such file.
+        PolicyError: when it is neither, or holds no squashed Gaussian actor.
+    """
+    if not path.is_file():
+        raise PolicyNotFoundError(f"no policy file at {path}")
+    if path.suffix == ".safetensors":
+        return _actor_of(path.read_bytes(), str(path), "SAC", deterministic, {})
+    if not zipfile.is_zipfile(path):
+        raise PolicyError(f"{path} is no policy; valid: a Stable-Baselines3 SAC .zip, or an actor's .safetensors")
+    return _read_zip(path, deterministic)
+
+
+def _actor_of(data: bytes, name: str, algorithm: str, deterministic: bool, record: Mapping[str, Any]) -> Actor:
+    from safetensors import SafetensorError
+    from safetensors.numpy import load
+
+    try:
+        weights = {key: array.astype(np.float32) for key, array in load(data).items()}
+        return Actor(weights, algorithm, deterministic, record=record)
+    except (SafetensorError, PolicyError, KeyError, TypeError, ValueError) as error:
+        raise PolicyError(f"{name}: holds no actor: {error}") from None
+
+
+def _read_zip(path: Path, deterministic: bool) -> Actor:
+    """Read the actor out of a Stable-Baselines3 zip, of version 1 or 2.
+
+    Only ``policy.pth`` is decoded, by torch's reader that builds tensors and refuses everything else;
+    of ``data``, whose values are pickles, only the plain JSON text beside them is looked at.
+    """
+    import io
+
+    import torch
+
+    try:
+        with zipfile.ZipFile(path) as archive:
+            state = torch.load(
+                io.BytesIO(_entry(archive, path, "policy.pth")), map_location="cpu", weights_only=True
+            )
+            settings = json.loads(_entry(archive, path, "data"))
+    except PolicyError:
+        raise
+    except Exception as error:  # torch and zipfile raise whatever a broken file makes them stumble on
+        raise PolicyError(f"{path}: not a readable Stable-Baselines3 zip: {_first_line(error)}") from None
+    if not isinstance(state, dict) or not isinstance(settings, dict) or not all(isinstance(k, str) for k in state):
+        raise PolicyError(f"{path}: not a Stable-Baselines3 zip of a policy")
+    if settings.get("use_sde"):
+        raise PolicyError(f"{path}: the policy explores by gSDE, whose actor is not SAC's default; train without use_sde")
+    weights = {
+        key.removeprefix("actor."): value.detach().to(torch.float32).numpy()
+        for key, value in state.items()
+        if key.startswith("actor.") and isinstance(value, torch.Tensor)
+    }
+    if "mu.weight" not in weights:
+        raise PolicyError(f"{path}: holds no squashed Gaussian actor; valid: a zip of SAC or TQC with MlpPolicy")
+    try:
+        return Actor(
+            weights,
+            algorithm=_algorithm(state),
+            deterministic=deterministic,
+            activation=_activation(settings),
+        )
+    except PolicyError as error:
+        raise PolicyError(f"{path}: {error}") from None
+
+
+def _entry(archive: zipfile.ZipFile, path: Path, name: str) -> bytes:
+    try:
+        info = archive.getinfo(name)
+    except KeyError:
+        raise PolicyError(f"{path}: no {name} inside: not a Stable-Baselines3 zip") from None
+    if info.file_size > MAX_ZIP_ENTRY:
+        raise PolicyError(f"{path}: {name} would unpack to {info.file_size} bytes; the limit is {MAX_ZIP_ENTRY}")
+    with archive.open(info) as stream:
+        return stream.read(MAX_ZIP_ENTRY)
+
+
+def _activation(settings: dict[str, Any]) -> str:
+    """Return the activation's class name from the JSON text of ``policy_kwargs``; SAC's default is ReLU."""
+    arguments = settings.get("policy_kwargs")
+    named = arguments.get("activation_fn") if isinstance(arguments, dict) else None
+    if named is None:
+        return "ReLU"
+    return str(named).rstrip("'>").rpartition(".")[2][:40]
+
+
+def _algorithm(state: dict[str, Any]) -> str:
+    """Name the algorithm by its critic: TQC's gives many quantiles where SAC's gives one value."""
+    biases = [value for key, value in state.items() if key.startswith("critic.qf0.") and key.endswith(".bias")]
+    return "TQC" if biases and biases[-1].numel() > 1 else "SAC"
+
+
+def _depth(weights: Mapping[str, Array]) -> int:
+    return sum(name.startswith("latent_pi.") and name.endswith(".weight") for name in weights)
+
+
+def _check_shapes(weights: Mapping[str, Array]) -> None:
+    """Raise a :class:`PolicyError` unless the layers chain from observation to mean and deviation."""
+    names = [f"latent_pi.{2 * i}" for i in range(_depth(weights))]
+    if not names:
+        raise PolicyError("the actor has no hidden layer")
+    expected = {f"{name}.{part}" for name in (*names, "mu", "log_std") for part in ("weight", "bias")}
+    if expected != set(weights):
+        odd = sorted(expected ^ set(weights))[0]
+        raise PolicyError(f"the actor is not SAC's: {odd} is {'missing' if odd in expected else 'unexpected'}")
+    width = None
+    for name in names:
+        width = _check_layer(weights, name, width)
+    means, deviations = _check_layer(weights, "mu", width), _check_layer(weights, "log_std", width)
+    if means != deviations:
+        raise PolicyError(f"the actor gives {means} means but {deviations} deviations")
+
+
+def _check_layer(weights: Mapping[str, Array], name: str, width: int | None) -> int:
+    weight, bias = weights[f"{name}.weight"], weights[f"{name}.bias"]
+    if weight.ndim != 2 or bias.shape != (weight.shape[0],) or 0 in weight.shape:
+        raise PolicyError(f"{name}: weight {weight.shape} and bias {bias.shape} make no layer")
+    if width is not None and weight.shape[1] != width:
+        raise PolicyError(f"{name}: takes {weight.shape[1]} inputs, but the layer before gives {width}")
+    if not (np.isfinite(weight).all() and np.isfinite(bias).all()):
+        raise PolicyError(f"{name}: weights are not finite")
+    return int(weight.shape[0])
+
+
+def _weights_folder() -> Any:
+    return resources.files("imujoco_minari") / "weights"
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).strip() or type(error).__name__).splitlines()[0][:200]

@@ -1,0 +1,281 @@
+"""From a recipe to a published Minari dataset: roll out, complete, verify, commit.
+
+The only writer of datasets. All happens in a staging folder of the Minari root; what is committed is
+whole and has been checked, and what is interrupted was never visible.
+"""
+
+from __future__ import annotations
+
+import platform
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from joblib import Parallel, delayed
+from minari.data_collector.callbacks import EpisodeMetadataCallback
+from minari.dataset.minari_storage import MinariStorage
+
+from imujoco_minari import content, roots
+from imujoco_minari.collection import collect
+from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError
+from imujoco_minari.mjcf import canonical_mjcf, mjcf_sha256
+from imujoco_minari.policies import Policy, load_policy
+from imujoco_minari.references import reference_scores
+from imujoco_minari.variants import EXPERT, Variant
+from imujoco_minari.verification import inspect
+
+Progress = Callable[[], None]
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """All that decides the content of a dataset, beside the versions of the software.
+
+    Attributes:
+        variant: whose environment is stepped.
+        tier: which policy makes the data; part of the dataset's id.
+        episodes: how many.
+        seed: base seed of all that is random.
+        policy: a policy file to use instead of the shipped one.
+        stochastic: sample the actions instead of taking the policy's mode.
+    """
+
+    variant: Variant
+    tier: str = EXPERT
+    episodes: int = 100
+    seed: int = 0
+    policy: Path | None = None
+    stochastic: bool = False
+
+    def __post_init__(self) -> None:
+        if self.episodes < 1:
+            raise DatasetError(f"a dataset has at least one episode, not {self.episodes}")
+        if self.seed < 0:
+            raise DatasetError(f"a seed is not negative, as {self.seed} is")
+
+    @property
+    def dataset_id(self) -> str:
+        """The id under which the dataset is published."""
+        return self.variant.dataset_id(self.tier)
+
+    def load_policy(self) -> Policy:
+        """Return the policy that the recipe names."""
+        return load_policy(self.variant, tier=self.tier, path=self.policy, stochastic=self.stochastic)
+
+
+@dataclass(frozen=True)
+class Published:
+    """What became of one recipe.
+
+    Attributes:
+        dataset_id: the dataset's id.
+        path: its folder; None when it failed.
+        created: whether this call made it; False when it was there already.
+        episodes: number of episodes.
+        steps: number of steps.
+        return_mean: mean undiscounted return of the episodes.
+        return_std: their standard deviation.
+        content_sha256: digest of the arrays.
+        seconds: wall time.
+        error: why it failed; empty when it did not.
+    """
+
+    dataset_id: str
+    path: Path | None = None
+    created: bool = False
+    episodes: int = 0
+    steps: int = 0
+    return_mean: float = float("nan")
+    return_std: float = float("nan")
+    content_sha256: str = ""
+    seconds: float = 0.0
+    error: str = ""
+
+
+def publish(
+    variant: Variant | str | Recipe,
+    *,
+    jobs: int = 1,
+    force: bool = False,
+    on_episode: Progress | None = None,
+    **options: Any,
+) -> Published:
+    """Publish one variant's dataset into the Minari root.
+
+    Args:
+        variant: a variant, its id, or a whole :class:`Recipe`.
+        jobs: how many processes roll the episodes out; the content does not depend on it.
+        force: replace a dataset that has the id; the old one stands until the new one is whole.
+        on_episode: called after each episode (each share of the episodes, with several jobs).
+        **options: the other fields of :class:`Recipe`.
+
+    Returns:
+        What was made, or, with ``created`` false, the dataset that has the id already.
+
+    Raises:
+        ImujocoError: when the policy cannot be had, the root not written, or the check fails.
+    """
+    if not isinstance(variant, Recipe):
+        variant = Recipe(Variant.parse(variant) if isinstance(variant, str) else variant, **options)
+    recipe = variant
+    if roots.exists(recipe.dataset_id) and not force:
+        return _summary(recipe.dataset_id, created=False)
+    start = time.monotonic()
+    policy = recipe.load_policy()
+    with roots.staging() as folder:
+        staged = folder / "dataset"
+        staged.mkdir()
+        data = staged / "data"
+        _roll_out(recipe, policy, data, jobs, on_episode)
+        _complete(recipe, policy, data)
+        findings = inspect(data, replay_episodes=1)
+        if findings:
+            raise DatasetError(f"{recipe.dataset_id}: not published, its check found: {findings[0]}")
+        try:
+            roots.commit(staged, recipe.dataset_id, replace=force)
+        except DatasetExistsError:
+            # Another publisher of this id was faster, and its dataset is whole too.
+            return _summary(recipe.dataset_id, created=False)
+    return _summary(recipe.dataset_id, created=True, seconds=time.monotonic() - start)
+
+
+def publish_all(
+    recipes: Sequence[Recipe],
+    *,
+    jobs: int = 1,
+    force: bool = False,
+    backend: str | None = None,
+) -> Iterator[Published]:
+    """Publish many datasets and yield each outcome as it comes, failures included.
+
+    Args:
+        recipes: what to publish; their order is kept with one job.
+        jobs: how many are worked on at once, each in a process of its own.
+        force: replace datasets that have the ids.
+        backend: joblib's back end; None is joblib's default, local processes.
+    """
+    if jobs == 1:
+        yield from (_attempt(recipe, force) for recipe in recipes)
+        return
+    pool = Parallel(n_jobs=jobs, backend=backend, return_as="generator_unordered", batch_size=1)
+    yield from pool(delayed(_attempt)(recipe, force) for recipe in recipes)
+
+
+def _attempt(recipe: Recipe, force: bool) -> Published:
+    try:
+        return publish(recipe, force=force)
+    except ImujocoError as error:
+        return Published(recipe.dataset_id, error=str(error))
+
+
+def _roll_out(recipe: Recipe, policy: Policy, data: Path, jobs: int, on_episode: Progress | None) -> None:
+    """Record the recipe's episodes in ``data``, with several jobs in shares that are joined in order."""
+    shares = np.array_split(np.arange(recipe.episodes), min(jobs * 4, recipe.episodes) if jobs > 1 else 1)
+    if len(shares) == 1:
+        collect(recipe.variant, policy, range(recipe.episodes), recipe.seed, data, on_episode)
+        return
+    parts = [data.with_name(f"share-{number}") for number in range(len(shares))]
+    pool = Parallel(n_jobs=jobs, return_as="generator", batch_size=1)
+    finished = pool(
+        delayed(collect)(recipe.variant, policy, share.tolist(), recipe.seed, part)
+        for share, part in zip(shares, parts, strict=True)
+    )
+    for share, _ in zip(shares, finished, strict=True):
+        for _ in share:
+            if on_episode is not None:
+                on_episode()
+    _join(parts, data)
+
+
+def _join(parts: Sequence[Path], data: Path) -> None:
+    """Move the episodes of all parts, in order, behind those of the first, which becomes ``data``."""
+    first, *others = parts
+    storages = [MinariStorage.read(part) for part in parts]
+    steps = sum(storage.total_steps for storage in storages)
+    with h5py.File(content.main_file(first), "a", track_order=True) as target:
+        for other in others:
+            with h5py.File(content.main_file(other), "r") as source:
+                for number in range(len(source)):
+                    episode = len(target)
+                    source.copy(f"episode_{number}", target, f"episode_{episode}")
+                    target[f"episode_{episode}"].attrs["id"] = episode
+            _remove(other)
+        episodes = len(target)
+    storages[0].update_metadata({"total_episodes": episodes, "total_steps": steps})
+    first.rename(data)
+
+
+def _remove(part: Path) -> None:
+    for file in part.iterdir():
+        file.unlink()
+    part.rmdir()
+
+
+def _complete(recipe: Recipe, policy: Policy, data: Path) -> None:
+    """Add what the collector did not record: attributes, digests, metadata."""
+    storage = MinariStorage.read(data)
+    storage.update_episode_metadata(storage.apply(EpisodeMetadataCallback()))
+    attributes = content.attributes(recipe.variant, recipe.tier)
+    mjcf = canonical_mjcf(recipe.variant)
+    with h5py.File(content.main_file(data), "a") as file:
+        file.attrs.update(attributes)
+        for episode in range(recipe.episodes):
+            group = file[f"episode_{episode}"]
+            group.attrs.update(attributes)
+            content.seal_episode(group)
+        digest = content.content_sha256(file, recipe.episodes)
+        file.attrs.update({"mjcf": mjcf, "mjcf_sha256": mjcf_sha256(mjcf), "content_sha256": digest})
+    storage.update_metadata(
+        attributes
+        | reference_scores(recipe.variant)
+        | {
+            "dataset_id": recipe.dataset_id,
+            "minari_version": version("minari"),
+            "algorithm_name": policy.algorithm,
+            "author": {"imujoco_minari"},
+            "code_permalink": f"imujoco-minari=={version('imujoco-minari')}",
+            "description": _description(recipe, policy),
+            "requirements": [f"{name}=={version(name)}" for name in ("mujoco", "gymnasium")],
+            "mjcf_sha256": mjcf_sha256(mjcf),
+            "content_sha256": digest,
+            "policy_sha256": policy.sha256,
+            "policy_deterministic": policy.deterministic,
+            "seed": recipe.seed,
+            "versions": {name: version(name) for name in ("imujoco-minari", "mujoco", "gymnasium", "minari", "numpy")},
+            "machine": platform.machine(),
+            "dataset_size": storage.get_size(),
+        }
+    )
+
+
+def _description(recipe: Recipe, policy: Policy) -> str:
+    variant = recipe.variant
+    change = (
+        "unchanged"
+        if not variant.body
+        else f"with the {variant.category} of {', '.join(variant.mjcf_names)} changed by {variant.percent:+d} %"
+    )
+    return (
+        f"iMuJoCo, rebuilt: the robot {variant.robot} of Gymnasium's v5 environments, {change}. "
+        f"{recipe.episodes} episodes of the tier {recipe.tier}, by a {policy.algorithm} policy that acts "
+        f"{'deterministically' if policy.deterministic else 'stochastically'}."
+    )
+
+
+def _summary(dataset_id: str, *, created: bool, seconds: float = 0.0) -> Published:
+    path = roots.dataset_folder(dataset_id)
+    try:
+        with h5py.File(content.main_file(path / "data"), "r") as file:
+            returns = [file[name].attrs["rewards_sum"] for name in file]
+            steps = sum(int(file[name].attrs["total_steps"]) for name in file)
+            digest = str(file.attrs.get("content_sha256", ""))
+    except (OSError, KeyError) as error:
+        raise DatasetError(f"{dataset_id}: there is something at {path}, but no whole dataset of ours: {error}") from None
+    return Published(
+        dataset_id, path, created, len(returns), steps, float(np.mean(returns)), float(np.std(returns)), digest, seconds
+    )
