@@ -138,7 +138,9 @@ def _structure(file: h5py.File, metadata: dict[str, Any]) -> Iterator[Finding]:
             continue
         length = len(group["rewards"])
         steps += length
-        yield from _episode_structure(group, name, number, length)
+        # A linked episode is its source's, number and all.
+        linked = isinstance(file.get(name, getlink=True), h5py.ExternalLink)
+        yield from _episode_structure(group, name, int(group.attrs.get("id", -1)) if linked else number, length)
     for key, value in (("total_episodes", len(file)), ("total_steps", steps)):
         if metadata.get(key) != value:
             yield Finding(f"metadata.json/{key}", f"is {metadata.get(key)!r}, but the file holds {value}")
@@ -211,12 +213,17 @@ def _digests(file: h5py.File, metadata: dict[str, Any]) -> Iterator[Finding]:
             if stated != content.array_sha256(array[()]):
                 intact = False
                 yield Finding(f"episode_{number}/{key}", "does not have the digest stored with it" if stated else "has no digest")
-    if not intact:
+    if not intact or "content_sha256" not in {**file.attrs, **metadata} and _links(file):
         return
     digest = content.content_sha256(file, len(file))
     for where, stated in (("@content_sha256", file.attrs.get("content_sha256")), ("metadata.json/content_sha256", metadata.get("content_sha256"))):
         if stated != digest:
             yield Finding(where, f"is {stated!r}, but the content's is {digest}")
+
+
+def _links(file: h5py.File) -> bool:
+    """Return whether the file is a linked collection, which keeps no digest of what lies elsewhere."""
+    return all(isinstance(file.get(name, getlink=True), h5py.ExternalLink) for name in file)
 
 
 def _replay(file: h5py.File, episodes: range, on_episode: Callable[[], None] | None) -> Iterator[Finding]:

@@ -1,0 +1,114 @@
+"""The application object, and how every command prints, shows progress and fails."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.table import Table
+
+from imujoco_minari import __version__
+from imujoco_minari.errors import CatalogueError, ImujocoError, VariantError
+
+app = typer.Typer(
+    name="imujoco",
+    help="Publish, verify and combine Minari datasets of perturbed MuJoCo robots (iMuJoCo).",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+    rich_markup_mode="markdown",
+)
+out = Console(highlight=False, soft_wrap=True)
+err = Console(stderr=True, highlight=False, soft_wrap=True)
+
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")]
+Robot = Annotated[str | None, typer.Option("--robot", "-r", help="hopper, halfcheetah or walker2d.")]
+Category = Annotated[str | None, typer.Option("--category", "-c", help="mass, joint, length or friction.")]
+
+
+def main() -> None:
+    """Run the command line and exit with its code."""
+    sys.exit(run(sys.argv[1:]))
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run one command and return its exit code; turn what is the user's to mend into one line."""
+    try:
+        app(list(arguments))
+    except SystemExit as exit_:
+        return exit_.code if isinstance(exit_.code, int) else int(bool(exit_.code))
+    except ImujocoError as error:
+        fail(str(error))
+        return 2 if isinstance(error, VariantError | CatalogueError) else 1
+    return 0
+
+
+def fail(message: str) -> None:
+    """Print an error in one line."""
+    err.print(f"[bold red]error:[/] {_escape(message)}")
+
+
+def say(message: str) -> None:
+    """Print a line for people; on the error stream, so that standard output holds results only."""
+    err.print(_escape(message))
+
+
+def print_json(value: Any) -> None:
+    """Print a value as JSON."""
+    sys.stdout.write(json.dumps(value, indent=2, default=str) + "\n")
+
+
+def print_table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, numeric: Sequence[str] = ()) -> None:
+    """Print rows of text as a table, with the columns named in ``numeric`` aligned to the right."""
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for column in columns:
+        table.add_column(column, justify="right" if column in numeric else "left", no_wrap=True)
+    for row in rows:
+        table.add_row(*(_escape(cell) for cell in row))
+    out.print(table)
+
+
+@contextmanager
+def progress(description: str, total: int, *, quiet: bool = False) -> Iterator[Callable[[], None]]:
+    """Show a bar with an estimate on the error stream, and yield what advances it by one."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=err, disable=quiet or not err.is_terminal) as bar:
+        task = bar.add_task(_escape(description), total=total)
+        yield lambda: bar.advance(task)
+
+
+def _escape(text: str) -> str:
+    return text.replace("[", r"\[")
+
+
+def _version(show: bool) -> None:
+    if show:
+        out.print(f"imujoco-minari {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")] = False,
+) -> None:
+    """Publish, verify and combine Minari datasets of perturbed MuJoCo robots (iMuJoCo)."""

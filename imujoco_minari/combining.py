@@ -1,0 +1,217 @@
+"""Collections: many datasets of one robot as one Minari dataset.
+
+Stock ``minari.combine_datasets`` refuses datasets whose environments differ, as variants' do, and drops
+seeds and episode attributes. Here HDF5 groups are copied as they are, or linked to, so that every
+attribute stays, and no array is decoded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from os.path import relpath
+from pathlib import Path
+from typing import Any
+
+import h5py
+from gymnasium.envs.registration import EnvSpec
+from minari import MinariDataset
+from minari.dataset.minari_storage import MinariStorage
+
+from imujoco_minari import content, roots
+from imujoco_minari.errors import DatasetError, DatasetExistsError, DatasetNotFoundError
+from imujoco_minari.registration import collection_spec, environment_spec
+from imujoco_minari.variants import EXPERT, NAMESPACE, Variant, catalogue
+
+# Attributes that a collection carries itself where all its episodes agree on them.
+_COMMON = ("variant", "robot", "category", "body", "percent", "tier")
+
+
+@dataclass(frozen=True)
+class _Source:
+    """One dataset, or view of one, that goes into a collection."""
+
+    dataset_id: str
+    file: Path
+    episodes: Sequence[int]
+    storage: Any
+    env_spec: EnvSpec | None
+
+
+def combine_datasets(
+    datasets_to_combine: Sequence[MinariDataset | str],
+    new_dataset_id: str,
+    *,
+    link: bool = False,
+    force: bool = False,
+) -> MinariDataset:
+    """Combine datasets of one robot into a collection and return it.
+
+    Every episode keeps its seed and all its attributes; its ``source`` is the dataset it came from.
+    The environment is that of the one variant there is, or one of all variants, which takes
+    ``reset(options={"variant": id})``.
+
+    Args:
+        datasets_to_combine: datasets or their ids. A filtered or split view goes in as that view.
+        new_dataset_id: id of the collection.
+        link: refer to the episodes where they lie instead of copying them. Such a collection is made
+            at once and takes no space, but lives only as long as its sources.
+        force: replace a dataset that has the id.
+
+    Raises:
+        DatasetNotFoundError: when an id names no dataset of the Minari root.
+        DatasetExistsError: when the new id is taken.
+        DatasetError: when there is nothing to combine, or robots or spaces differ.
+    """
+    folder = roots.dataset_folder(new_dataset_id)
+    if folder.exists() and not force:
+        raise DatasetExistsError(f"{new_dataset_id} is already there, at {folder}; it was left alone")
+    sources = [_source(dataset) for dataset in datasets_to_combine]
+    _check(sources)
+    with roots.staging() as staging_folder:
+        staged = staging_folder / "dataset"
+        staged.mkdir()
+        attributes = _write(sources, staged / "data", folder / "data" if link else None)
+        _describe(sources, staged / "data", new_dataset_id, attributes)
+        roots.commit(staged, new_dataset_id, replace=force)
+    return MinariDataset(folder / "data")
+
+
+def published_ids(robot: str, category: str | None = None, tier: str = EXPERT) -> list[str]:
+    """Return the ids of the catalogue's datasets of a robot, category and tier that are in the root."""
+    ids = (variant.dataset_id(tier) for variant in catalogue(robot, category))
+    return [dataset_id for dataset_id in ids if roots.exists(dataset_id)]
+
+
+def collection_id(robot: str, category: str | None = None, tier: str = EXPERT) -> str:
+    """Return the id of a robot's collection, ``imujoco/<robot>-<all or category>[-<tier>]-v0``."""
+    suffix = "" if tier == EXPERT else f"-{tier}"
+    return f"{NAMESPACE}/{robot}-{category or 'all'}{suffix}-v0"
+
+
+def _source(dataset: MinariDataset | str) -> _Source:
+    if isinstance(dataset, str):
+        folder = roots.dataset_folder(dataset) / "data"
+        if not folder.is_dir():
+            raise DatasetNotFoundError(f"{dataset} is not in the Minari root, at {folder.parent}")
+        dataset = MinariDataset(folder)
+    if dataset.storage.FORMAT != "hdf5":
+        raise DatasetError(f"{dataset.id} is stored as {dataset.storage.FORMAT}; valid: hdf5")
+    return _Source(
+        dataset_id=dataset.id,
+        file=content.main_file(dataset.storage.data_path),
+        episodes=[int(index) for index in dataset.episode_indices],
+        storage=dataset.storage,
+        env_spec=dataset.env_spec,
+    )
+
+
+def _check(sources: Sequence[_Source]) -> None:
+    """Raise a DatasetError unless the sources make one collection."""
+    if not sources:
+        raise DatasetError("there is nothing to combine: no dataset was given")
+    if not any(source.episodes for source in sources):
+        raise DatasetError("there is nothing to combine: the datasets hold no episodes")
+    robots = {str(source.storage.metadata.get("robot", "unknown")): source.dataset_id for source in sources}
+    if len(robots) > 1:
+        raise DatasetError(
+            "a collection holds one robot, but these are of several: "
+            + ", ".join(f"{robot} ({dataset_id})" for robot, dataset_id in robots.items())
+        )
+    first = sources[0]
+    for source in sources[1:]:
+        for space in ("observation_space", "action_space"):
+            ours, theirs = getattr(first.storage, space), getattr(source.storage, space)
+            if ours != theirs:
+                raise DatasetError(
+                    f"{first.dataset_id} and {source.dataset_id} cannot be combined: "
+                    f"their {space.replace('_', ' ')}s differ, {ours} and {theirs}"
+                )
+
+
+def _write(sources: Sequence[_Source], data: Path, linked_from: Path | None) -> list[dict[str, Any]]:
+    """Write the episodes into a new storage and return the identifying attributes of each."""
+    storage = MinariStorage.new(
+        data,
+        observation_space=sources[0].storage.observation_space,
+        action_space=sources[0].storage.action_space,
+    )
+    attributes: list[dict[str, Any]] = []
+    steps = 0
+    with h5py.File(content.main_file(data), "w", track_order=True) as target:
+        for source in sources:
+            with h5py.File(source.file, "r") as file:
+                for number in source.episodes:
+                    name = f"episode_{len(attributes)}"
+                    group = file[f"episode_{number}"]
+                    attrs = {key: group.attrs[key] for key in _COMMON if key in group.attrs}
+                    attributes.append(attrs)
+                    steps += int(group.attrs["total_steps"])
+                    if linked_from is not None:
+                        target[name] = h5py.ExternalLink(relpath(source.file, linked_from), f"episode_{number}")
+                        continue
+                    file.copy(group, target, name)
+                    target[name].attrs["id"] = len(attributes) - 1
+                    target[name].attrs["source"] = source.dataset_id
+        if linked_from is None:
+            target.attrs["content_sha256"] = _sealed_digest(target, len(attributes))
+    storage.update_metadata({"total_episodes": len(attributes), "total_steps": steps})
+    return attributes
+
+
+def _sealed_digest(file: h5py.File, episodes: int) -> str:
+    try:
+        return content.content_sha256(file, episodes)
+    except KeyError:
+        # Some dataset was not published by this package, and its arrays have no digests yet.
+        for number in range(episodes):
+            content.seal_episode(file[f"episode_{number}"])
+        return content.content_sha256(file, episodes)
+
+
+def _describe(sources: Sequence[_Source], data: Path, dataset_id: str, attributes: list[dict[str, Any]]) -> None:
+    """Write the collection's metadata, and the attributes that all its episodes share."""
+    common = {
+        key: attributes[0][key]
+        for key in _COMMON
+        if key in attributes[0] and all(attrs.get(key) == attributes[0][key] for attrs in attributes)
+    }
+    spec = _env_spec(sources, dataset_id, attributes)
+    metadata = {
+        "dataset_id": dataset_id,
+        "combined_datasets": [source.dataset_id for source in sources],
+        "minari_version": version("minari"),
+        "algorithm_name": ", ".join(sorted({str(s.storage.metadata.get("algorithm_name", "unknown")) for s in sources})),
+        "author": set().union(*(s.storage.metadata.get("author", set()) for s in sources)),
+        "code_permalink": f"imujoco-minari=={version('imujoco-minari')}",
+        "description": f"A collection of {len(attributes)} episodes out of {len(sources)} datasets.",
+        "requirements": sorted({str(r) for s in sources for r in s.storage.metadata.get("requirements", [])}),
+    }
+    with h5py.File(content.main_file(data), "a") as file:
+        file.attrs.update(common)
+        if "content_sha256" in file.attrs:
+            metadata["content_sha256"] = file.attrs["content_sha256"]
+    storage = MinariStorage.read(data)
+    if spec is not None:
+        metadata["env_spec"] = spec.to_json()
+    storage.update_metadata(metadata | {key: _plain(value) for key, value in common.items()})
+    storage.update_metadata({"dataset_size": storage.get_size()})
+
+
+def _env_spec(sources: Sequence[_Source], dataset_id: str, attributes: list[dict[str, Any]]) -> EnvSpec | None:
+    names = list(dict.fromkeys(str(attrs["variant"]) for attrs in attributes if "variant" in attrs))
+    if len(names) == 1:
+        return environment_spec(names[0])
+    if names:
+        name = dataset_id.rpartition("/")[2].rpartition("-v")[0]
+        return collection_spec(name, [Variant.parse(name) for name in names])
+    specs = [source.env_spec for source in sources]
+    if any(spec != specs[0] for spec in specs):
+        raise DatasetError("the datasets are of different environments, and none of them is a variant's")
+    return specs[0]
+
+
+def _plain(value: Any) -> Any:
+    """Return an HDF5 attribute as JSON can hold it."""
+    return value.item() if hasattr(value, "item") else value
