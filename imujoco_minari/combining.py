@@ -149,7 +149,9 @@ def _write(sources: Sequence[_Source], data: Path, linked_from: Path | None) -> 
                     attributes.append(attrs)
                     steps += int(group.attrs["total_steps"])
                     if linked_from is not None:
-                        target[name] = h5py.ExternalLink(relpath(source.file, linked_from), f"episode_{number}")
+                        target[name] = h5py.ExternalLink(
+                            relpath(source.file, linked_from), f"episode_{number}"
+                        )
                         continue
                     file.copy(group, target, name)
                     target[name].attrs["id"] = len(attributes) - 1
@@ -170,7 +172,9 @@ def _sealed_digest(file: h5py.File, episodes: int) -> str:
         return content.content_sha256(file, episodes)
 
 
-def _describe(sources: Sequence[_Source], data: Path, dataset_id: str, attributes: list[dict[str, Any]]) -> None:
+def _describe(
+    sources: Sequence[_Source], data: Path, dataset_id: str, attributes: list[dict[str, Any]]
+) -> None:
     """Write the collection's metadata, and the attributes that all its episodes share."""
     common = {
         key: attributes[0][key]
@@ -182,7 +186,9 @@ def _describe(sources: Sequence[_Source], data: Path, dataset_id: str, attribute
         "dataset_id": dataset_id,
         "combined_datasets": [source.dataset_id for source in sources],
         "minari_version": version("minari"),
-        "algorithm_name": ", ".join(sorted({str(s.storage.metadata.get("algorithm_name", "unknown")) for s in sources})),
+        "algorithm_name": ", ".join(
+            sorted({str(s.storage.metadata.get("algorithm_name", "unknown")) for s in sources})
+        ),
         "author": set().union(*(s.storage.metadata.get("author", set()) for s in sources)),
         "code_permalink": f"imujoco-minari=={version('imujoco-minari')}",
         "description": f"A collection of {len(attributes)} episodes out of {len(sources)} datasets.",
@@ -199,7 +205,9 @@ def _describe(sources: Sequence[_Source], data: Path, dataset_id: str, attribute
     storage.update_metadata({"dataset_size": storage.get_size()})
 
 
-def _env_spec(sources: Sequence[_Source], dataset_id: str, attributes: list[dict[str, Any]]) -> EnvSpec | None:
+def _env_spec(
+    sources: Sequence[_Source], dataset_id: str, attributes: list[dict[str, Any]]
+) -> EnvSpec | None:
     names = list(dict.fromkeys(str(attrs["variant"]) for attrs in attributes if "variant" in attrs))
     if len(names) == 1:
         return environment_spec(names[0])

@@ -24,7 +24,9 @@ class Difference:
 
 def differences(variant: Variant) -> list[Difference]:
     """Return the physical quantities in which ``variant`` differs from its base robot."""
-    found = model_differences(compile_mjcf(canonical_mjcf(variant.base)), compile_mjcf(canonical_mjcf(variant)))
+    found = model_differences(
+        compile_mjcf(canonical_mjcf(variant.base)), compile_mjcf(canonical_mjcf(variant))
+    )
     before, after = healthy_z_range(variant.base), healthy_z_range(variant)
     if before is not None and after is not None and before != after:
         found += [

@@ -100,7 +100,9 @@ class CollectionEnv(gym.Env[Any, Any], EzPickle):
         parsed = [Variant.parse(variant) for variant in variants]
         robots = sorted({variant.robot for variant in parsed})
         if len(robots) != 1:
-            raise VariantError(f"a collection holds variants of one robot, not of {', '.join(robots) or 'none'}")
+            raise VariantError(
+                f"a collection holds variants of one robot, not of {', '.join(robots) or 'none'}"
+            )
         self.variants = tuple(str(variant) for variant in parsed)
         self.render_mode = kwargs.get("render_mode")
         self._make = ENVIRONMENTS[robots[0]]
@@ -116,7 +118,9 @@ class CollectionEnv(gym.Env[Any, Any], EzPickle):
         """The variant of the present episode."""
         return self._current.variant
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         """Begin an episode, of ``options["variant"]`` if given, else of one drawn by ``seed``.
 
         Raises:

@@ -61,8 +61,7 @@ class DependencyError(ImujocoError, ImportError):
 def missing_dependency(package: str, extra: str, purpose: str) -> DependencyError:
     """Return the error for an optional ``package`` that ``purpose`` needs, with its remedy."""
     return DependencyError(
-        f"{purpose} needs {package}, which is not installed: "
-        f'run `pip install "imujoco-minari[{extra}]"`'
+        f'{purpose} needs {package}, which is not installed: run `pip install "imujoco-minari[{extra}]"`'
     )
 
 

@@ -96,7 +96,7 @@ def _baked(robot: str) -> Any:
     # to_xml() would otherwise round what it writes to six digits.
     spec.compiler.savecompiled = False
     total_mass, spec.compiler.settotalmass = spec.compiler.settotalmass, -1.0
-    stock = spec.compile()
+    stock = _compiled(spec)
     if total_mass > 0:
         mujoco.mj_setTotalmass(stock, total_mass)
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
@@ -108,6 +108,11 @@ def _baked(robot: str) -> Any:
         body.ipos = compiled.ipos
         body.iquat = compiled.iquat
     return spec
+
+
+def _compiled(spec: Any) -> Any:
+    """Return the model of a spec as it stands; compiling the spec itself would settle its inertias."""
+    return spec.copy().compile()
 
 
 def _edit_mass(spec: Any, variant: Variant) -> float:
@@ -128,11 +133,11 @@ def _edit_joint(spec: Any, variant: Variant) -> float:
 
 def _edit_length(spec: Any, variant: Variant) -> float:
     """Stretch the capsule away from its joint, move what hangs on it, and stand the robot on the floor."""
-    base = spec.compile()
+    base = _compiled(spec)
     clearance = lowest_point(base)
     for body in _bodies(spec, variant):
         _stretch(body, _capsule_axis(base, body.geoms[0].name), variant.factor)
-    shift = clearance - lowest_point(spec.compile())
+    shift = clearance - lowest_point(_compiled(spec))
     root = spec.bodies[1]
     root.pos = root.pos + [0.0, 0.0, shift]
     for joint in root.joints:
@@ -206,9 +211,11 @@ def _stretch(body: Any, axis: Array, factor: float) -> None:
         child.pos = child.pos + moved(half if along >= fixed else -half)
     geom.pos = centre + moved(0.0)
     geom.size = [radius, half * factor, 0.0]
-    # The body's inertia follows from its geom again.
+    # Undefined again, the body's inertia follows from its geom.
     geom.density = density
     body.explicitinertial = False
+    body.ipos = np.full(3, np.nan)
+    body.mass, body.inertia, body.iquat = 0.0, np.zeros(3), [1.0, 0.0, 0.0, 0.0]
 
 
 _ROOT_JOINTS = frozenset({"rootx", "rootz", "rooty"})

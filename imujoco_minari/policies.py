@@ -93,7 +93,9 @@ class Actor:
     def __post_init__(self) -> None:
         _check_shapes(self.weights)
         if self.activation not in _ACTIVATIONS:
-            raise PolicyError(f"activation {self.activation!r} is not supported; valid: {', '.join(_ACTIVATIONS)}")
+            raise PolicyError(
+                f"activation {self.activation!r} is not supported; valid: {', '.join(_ACTIVATIONS)}"
+            )
 
     @property
     def observation_size(self) -> int:
@@ -134,7 +136,8 @@ class Actor:
             fits = [name for name, expected in SIZES.items() if expected == sizes]
             raise PolicyError(
                 f"the policy maps {sizes[0]} observations to {sizes[1]} actions, but {robot} has "
-                f"{SIZES[robot][0]} and {SIZES[robot][1]}" + (f"; it fits {' and '.join(fits)}" if fits else "")
+                f"{SIZES[robot][0]} and {SIZES[robot][1]}"
+                + (f"; it fits {' and '.join(fits)}" if fits else "")
             )
 
     @cached_property
@@ -191,7 +194,9 @@ def load_policy(
         return RandomPolicy(SIZES[variant.robot][1])
     if tier == EXPERT:
         return shipped_actor(variant, deterministic=not stochastic)
-    raise PolicyNotFoundError(f"no policy makes the tier {tier!r}; valid: {EXPERT}, random, or any name with --policy FILE")
+    raise PolicyNotFoundError(
+        f"no policy makes the tier {tier!r}; valid: {EXPERT}, random, or any name with --policy FILE"
+    )
 
 
 def shipped_actor(variant: Variant, *, deterministic: bool = True) -> Actor:
@@ -206,7 +211,9 @@ def shipped_actor(variant: Variant, *, deterministic: bool = True) -> Actor:
             f"no expert policy is shipped for {variant}: train one with `imujoco train {variant}`, "
             f"or give one with --policy FILE; {len(shipped_variants())} are shipped, see `imujoco policies`"
         )
-    return _actor_of(weights.read_bytes(), f"{variant}.safetensors", record["algorithm"], deterministic, record)
+    return _actor_of(
+        weights.read_bytes(), f"{variant}.safetensors", record["algorithm"], deterministic, record
+    )
 
 
 def shipped_record(variant: Variant) -> Mapping[str, Any]:
@@ -221,7 +228,9 @@ def shipped_record(variant: Variant) -> Mapping[str, Any]:
 def shipped_variants() -> tuple[Variant, ...]:
     """Return the variants whose expert policies are shipped, sorted."""
     names = (item.name for item in _weights_folder().iterdir())
-    return tuple(sorted(Variant.parse(name.removesuffix(".json")) for name in names if name.endswith(".json")))
+    return tuple(
+        sorted(Variant.parse(name.removesuffix(".json")) for name in names if name.endswith(".json"))
+    )
 
 
 def read_actor(path: Path, *, deterministic: bool = True) -> Actor:
@@ -236,11 +245,15 @@ def read_actor(path: Path, *, deterministic: bool = True) -> Actor:
     if path.suffix == ".safetensors":
         return _actor_of(path.read_bytes(), str(path), "SAC", deterministic, {})
     if not zipfile.is_zipfile(path):
-        raise PolicyError(f"{path} is no policy; valid: a Stable-Baselines3 SAC .zip, or an actor's .safetensors")
+        raise PolicyError(
+            f"{path} is no policy; valid: a Stable-Baselines3 SAC .zip, or an actor's .safetensors"
+        )
     return _read_zip(path, deterministic)
 
 
-def _actor_of(data: bytes, name: str, algorithm: str, deterministic: bool, record: Mapping[str, Any]) -> Actor:
+def _actor_of(
+    data: bytes, name: str, algorithm: str, deterministic: bool, record: Mapping[str, Any]
+) -> Actor:
     from safetensors import SafetensorError
     from safetensors.numpy import load
 
@@ -271,17 +284,25 @@ def _read_zip(path: Path, deterministic: bool) -> Actor:
         raise
     except Exception as error:  # torch and zipfile raise whatever a broken file makes them stumble on
         raise PolicyError(f"{path}: not a readable Stable-Baselines3 zip: {_first_line(error)}") from None
-    if not isinstance(state, dict) or not isinstance(settings, dict) or not all(isinstance(k, str) for k in state):
+    if (
+        not isinstance(state, dict)
+        or not isinstance(settings, dict)
+        or not all(isinstance(k, str) for k in state)
+    ):
         raise PolicyError(f"{path}: not a Stable-Baselines3 zip of a policy")
     if settings.get("use_sde"):
-        raise PolicyError(f"{path}: the policy explores by gSDE, whose actor is not SAC's default; train without use_sde")
+        raise PolicyError(
+            f"{path}: the policy explores by gSDE, whose actor is not SAC's default; train without use_sde"
+        )
     weights = {
         key.removeprefix("actor."): value.detach().to(torch.float32).numpy()
         for key, value in state.items()
         if key.startswith("actor.") and isinstance(value, torch.Tensor)
     }
     if "mu.weight" not in weights:
-        raise PolicyError(f"{path}: holds no squashed Gaussian actor; valid: a zip of SAC or TQC with MlpPolicy")
+        raise PolicyError(
+            f"{path}: holds no squashed Gaussian actor; valid: a zip of SAC or TQC with MlpPolicy"
+        )
     try:
         return Actor(
             weights,
@@ -299,7 +320,9 @@ def _entry(archive: zipfile.ZipFile, path: Path, name: str) -> bytes:
     except KeyError:
         raise PolicyError(f"{path}: no {name} inside: not a Stable-Baselines3 zip") from None
     if info.file_size > MAX_ZIP_ENTRY:
-        raise PolicyError(f"{path}: {name} would unpack to {info.file_size} bytes; the limit is {MAX_ZIP_ENTRY}")
+        raise PolicyError(
+            f"{path}: {name} would unpack to {info.file_size} bytes; the limit is {MAX_ZIP_ENTRY}"
+        )
     with archive.open(info) as stream:
         return stream.read(MAX_ZIP_ENTRY)
 
@@ -315,7 +338,9 @@ def _activation(settings: dict[str, Any]) -> str:
 
 def _algorithm(state: dict[str, Any]) -> str:
     """Name the algorithm by its critic: TQC's gives many quantiles where SAC's gives one value."""
-    biases = [value for key, value in state.items() if key.startswith("critic.qf0.") and key.endswith(".bias")]
+    biases = [
+        value for key, value in state.items() if key.startswith("critic.qf0.") and key.endswith(".bias")
+    ]
     return "TQC" if biases and biases[-1].numel() > 1 else "SAC"
 
 
@@ -331,7 +356,9 @@ def _check_shapes(weights: Mapping[str, Array]) -> None:
     expected = {f"{name}.{part}" for name in (*names, "mu", "log_std") for part in ("weight", "bias")}
     if expected != set(weights):
         odd = sorted(expected ^ set(weights))[0]
-        raise PolicyError(f"the actor is not SAC's: {odd} is {'missing' if odd in expected else 'unexpected'}")
+        raise PolicyError(
+            f"the actor is not SAC's: {odd} is {'missing' if odd in expected else 'unexpected'}"
+        )
     width = None
     for name in names:
         width = _check_layer(weights, name, width)

@@ -246,7 +246,9 @@ def _complete(recipe: Recipe, policy: Policy, data: Path) -> None:
             "policy_sha256": policy.sha256,
             "policy_deterministic": policy.deterministic,
             "seed": recipe.seed,
-            "versions": {name: version(name) for name in ("imujoco-minari", "mujoco", "gymnasium", "minari", "numpy")},
+            "versions": {
+                name: version(name) for name in ("imujoco-minari", "mujoco", "gymnasium", "minari", "numpy")
+            },
             "machine": platform.machine(),
             "dataset_size": storage.get_size(),
         }
@@ -275,7 +277,17 @@ def _summary(dataset_id: str, *, created: bool, seconds: float = 0.0) -> Publish
             steps = sum(int(file[name].attrs["total_steps"]) for name in file)
             digest = str(file.attrs.get("content_sha256", ""))
     except (OSError, KeyError) as error:
-        raise DatasetError(f"{dataset_id}: there is something at {path}, but no whole dataset of ours: {error}") from None
+        raise DatasetError(
+            f"{dataset_id}: there is something at {path}, but no whole dataset of ours: {error}"
+        ) from None
     return Published(
-        dataset_id, path, created, len(returns), steps, float(np.mean(returns)), float(np.std(returns)), digest, seconds
+        dataset_id,
+        path,
+        created,
+        len(returns),
+        steps,
+        float(np.mean(returns)),
+        float(np.std(returns)),
+        digest,
+        seconds,
     )

@@ -16,7 +16,11 @@ from imujoco_minari.variants import CATEGORIES, NAMESPACE, ROBOTS, Variant, base
 
 MAX_EPISODE_STEPS = 1000
 
-_CLASS = {"hopper": "HopperVariantEnv", "halfcheetah": "HalfCheetahVariantEnv", "walker2d": "Walker2dVariantEnv"}
+_CLASS = {
+    "hopper": "HopperVariantEnv",
+    "halfcheetah": "HalfCheetahVariantEnv",
+    "walker2d": "Walker2dVariantEnv",
+}
 
 
 def environment_spec(variant: Variant | str) -> EnvSpec:

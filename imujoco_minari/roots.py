@@ -203,7 +203,9 @@ def _exchange(source: Path, target: Path) -> None:
     """Swap two folders in one step, so that at every moment ``target`` is the old or the new one."""
     libc = ctypes.CDLL(None, use_errno=True)
     if not hasattr(libc, "renameat2"):
-        raise StorageError(f"{target}: this system cannot replace a dataset in one step; `minari delete` it first")
+        raise StorageError(
+            f"{target}: this system cannot replace a dataset in one step; `minari delete` it first"
+        )
     if libc.renameat2(_AT_FDCWD, os.fsencode(source), _AT_FDCWD, os.fsencode(target), _RENAME_EXCHANGE) != 0:
         code = ctypes.get_errno()
         raise OSError(code, os.strerror(code), str(target))
@@ -227,4 +229,6 @@ def _sync_folder(folder: Path) -> None:
 
 
 def _storage_error(error: OSError, place: Path) -> StorageError:
-    return StorageError(f"cannot write to the Minari root, at {error.filename or place}: {error.strerror or error}")
+    return StorageError(
+        f"cannot write to the Minari root, at {error.filename or place}: {error.strerror or error}"
+    )

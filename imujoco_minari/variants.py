@@ -26,7 +26,9 @@ EXPERT = "expert"
 # Beyond this a model still compiles but means nothing; it also bounds hostile ids.
 MAX_PERCENT = 10_000
 
-_ID = re.compile(r"(?P<robot>[a-z0-9]+)-(?P<category>[a-z]+?)(?P<sign>inc|dec)_(?P<percent>[0-9]+)_(?P<body>[a-z0-9]+)")
+_ID = re.compile(
+    r"(?P<robot>[a-z0-9]+)-(?P<category>[a-z]+?)(?P<sign>inc|dec)_(?P<percent>[0-9]+)_(?P<body>[a-z0-9]+)"
+)
 _DATASET_ID = re.compile(r"(?:(?P<namespace>[-_\w/]+)/)?(?P<name>[-_\w]+)-v(?P<version>[0-9]{1,6})")
 _TIER = re.compile(r"[a-z][a-z0-9_]*(?:-[a-z][a-z0-9_]*)*")
 
@@ -151,7 +153,9 @@ class Variant:
             VariantError: when ``tier`` is no tier name.
         """
         if not _TIER.fullmatch(tier) or len(tier) > 40:
-            raise VariantError(f"malformed tier {_clip(tier)!r}; valid: lower-case words, as in expert, medium, random")
+            raise VariantError(
+                f"malformed tier {_clip(tier)!r}; valid: lower-case words, as in expert, medium, random"
+            )
         suffix = "" if tier == EXPERT else f"-{tier}"
         return f"{NAMESPACE}/{self}{suffix}-v0"
 
@@ -195,7 +199,9 @@ def specification(robot: str) -> RobotSpecification:
         VariantError: when there is no such robot.
     """
     if robot not in ROBOTS:
-        raise VariantError(f"unknown robot {_clip(robot)!r}{suggestion(str(robot)[:80], ROBOTS)}; valid: {', '.join(ROBOTS)}")
+        raise VariantError(
+            f"unknown robot {_clip(robot)!r}{suggestion(str(robot)[:80], ROBOTS)}; valid: {', '.join(ROBOTS)}"
+        )
     return _specifications()[robot]
 
 
@@ -208,7 +214,9 @@ def catalogue(robot: str | None = None, category: str | None = None) -> tuple[Va
     if robot is not None:
         specification(robot)
     if category is not None and category not in CATEGORIES:
-        raise VariantError(f"unknown category {_clip(category)!r}{suggestion(category[:80], CATEGORIES)}; valid: {', '.join(CATEGORIES)}")
+        raise VariantError(
+            f"unknown category {_clip(category)!r}{suggestion(category[:80], CATEGORIES)}; valid: {', '.join(CATEGORIES)}"
+        )
     return tuple(
         variant
         for variant in _catalogue()
@@ -251,10 +259,14 @@ def parse_specification(text: str, name: str) -> RobotSpecification:
     known = {"environment", "model", "feet", "healthy_z_range", *CATEGORIES}
     unknown = sorted(set(data) - known)
     if unknown:
-        raise CatalogueError(f"{name}: unknown key {unknown[0]!r}{suggestion(unknown[0], known)}; valid: {', '.join(sorted(known))}")
+        raise CatalogueError(
+            f"{name}: unknown key {unknown[0]!r}{suggestion(unknown[0], known)}; valid: {', '.join(sorted(known))}"
+        )
     feet = tuple(_strings(data, "feet", name))
     z_range = data.get("healthy_z_range")
-    if z_range is not None and not (isinstance(z_range, list) and len(z_range) == 2 and all(isinstance(z, float) for z in z_range)):
+    if z_range is not None and not (
+        isinstance(z_range, list) and len(z_range) == 2 and all(isinstance(z, float) for z in z_range)
+    ):
         raise CatalogueError(f"{name}: healthy_z_range must be two floats, in metres")
     return RobotSpecification(
         environment=_string(data, "environment", name),

@@ -40,7 +40,9 @@ class Finding:
         return f"{self.where}: {self.what}"
 
 
-def verify(dataset_id: str, *, replay: bool = True, on_episode: Callable[[], None] | None = None) -> list[Finding]:
+def verify(
+    dataset_id: str, *, replay: bool = True, on_episode: Callable[[], None] | None = None
+) -> list[Finding]:
     """Check a dataset of the Minari root and return what is wrong with it; an empty list is good news.
 
     Args:
@@ -53,11 +55,16 @@ def verify(dataset_id: str, *, replay: bool = True, on_episode: Callable[[], Non
     """
     folder = roots.dataset_folder(dataset_id)
     if not folder.exists():
-        raise DatasetNotFoundError(f"{dataset_id} is not in the Minari root, at {folder}; see `minari list local`")
+        raise DatasetNotFoundError(
+            f"{dataset_id} is not in the Minari root, at {folder}; see `minari list local`"
+        )
     findings = inspect(folder / "data", replay_episodes=None if replay else 0, on_episode=on_episode)
     stated = _read_metadata(folder / "data").get("dataset_id")
     if stated != dataset_id:
-        findings.insert(0, Finding("metadata.json/dataset_id", f"is {stated!r}, but the dataset lies under {dataset_id!r}"))
+        findings.insert(
+            0,
+            Finding("metadata.json/dataset_id", f"is {stated!r}, but the dataset lies under {dataset_id!r}"),
+        )
     return findings
 
 
@@ -84,7 +91,9 @@ def inspect(
     return findings
 
 
-def _checks(data: Path, replay_episodes: int | None, on_episode: Callable[[], None] | None) -> Iterator[Finding]:
+def _checks(
+    data: Path, replay_episodes: int | None, on_episode: Callable[[], None] | None
+) -> Iterator[Finding]:
     for name in ("metadata.json", content.MAIN_FILE):
         if not (data / name).is_file():
             yield Finding(name, "is missing")
@@ -140,7 +149,9 @@ def _structure(file: h5py.File, metadata: dict[str, Any]) -> Iterator[Finding]:
         steps += length
         # A linked episode is its source's, number and all.
         linked = isinstance(file.get(name, getlink=True), h5py.ExternalLink)
-        yield from _episode_structure(group, name, int(group.attrs.get("id", -1)) if linked else number, length)
+        yield from _episode_structure(
+            group, name, int(group.attrs.get("id", -1)) if linked else number, length
+        )
     for key, value in (("total_episodes", len(file)), ("total_steps", steps)):
         if metadata.get(key) != value:
             yield Finding(f"metadata.json/{key}", f"is {metadata.get(key)!r}, but the file holds {value}")
@@ -171,7 +182,9 @@ def _episode_structure(group: h5py.Group, name: str, number: int, length: int) -
             yield Finding(f"{name}/{key}", "holds values that are not finite")
     rewards_sum = float(group["rewards"][()].sum())
     if "rewards_sum" not in attrs or not np.isclose(attrs["rewards_sum"], rewards_sum, rtol=1e-9):
-        yield Finding(f"{name}@rewards_sum", f"is {attrs.get('rewards_sum')!r}, but the rewards sum to {rewards_sum}")
+        yield Finding(
+            f"{name}@rewards_sum", f"is {attrs.get('rewards_sum')!r}, but the rewards sum to {rewards_sum}"
+        )
 
 
 def _attributes(file: h5py.File, metadata: dict[str, Any]) -> Iterator[Finding]:
@@ -191,12 +204,17 @@ def _attributes(file: h5py.File, metadata: dict[str, Any]) -> Iterator[Finding]:
         if not collection:
             for key in ("variant", "tier"):
                 if attrs.get(key) != file.attrs.get(key):
-                    yield Finding(f"{name}@{key}", f"is {attrs.get(key)!r}, but the dataset's is {file.attrs.get(key)!r}")
+                    yield Finding(
+                        f"{name}@{key}",
+                        f"is {attrs.get(key)!r}, but the dataset's is {file.attrs.get(key)!r}",
+                    )
     if collection:
         return
     for key in (*content.attributes(Variant.parse(str(file.attrs["variant"])), ""), "mjcf_sha256"):
         if metadata.get(key) != file.attrs.get(key):
-            yield Finding(f"metadata.json/{key}", f"is {metadata.get(key)!r}, but the file's is {file.attrs.get(key)!r}")
+            yield Finding(
+                f"metadata.json/{key}", f"is {metadata.get(key)!r}, but the file's is {file.attrs.get(key)!r}"
+            )
     text = str(file.attrs["mjcf"])
     if mjcf_sha256(text) != file.attrs["mjcf_sha256"]:
         yield Finding("@mjcf", "does not have the digest that mjcf_sha256 states")
@@ -212,11 +230,17 @@ def _digests(file: h5py.File, metadata: dict[str, Any]) -> Iterator[Finding]:
             stated = array.attrs.get(content.DIGEST)
             if stated != content.array_sha256(array[()]):
                 intact = False
-                yield Finding(f"episode_{number}/{key}", "does not have the digest stored with it" if stated else "has no digest")
-    if not intact or "content_sha256" not in {**file.attrs, **metadata} and _links(file):
+                yield Finding(
+                    f"episode_{number}/{key}",
+                    "does not have the digest stored with it" if stated else "has no digest",
+                )
+    if not intact or ("content_sha256" not in {**file.attrs, **metadata} and _links(file)):
         return
     digest = content.content_sha256(file, len(file))
-    for where, stated in (("@content_sha256", file.attrs.get("content_sha256")), ("metadata.json/content_sha256", metadata.get("content_sha256"))):
+    for where, stated in (
+        ("@content_sha256", file.attrs.get("content_sha256")),
+        ("metadata.json/content_sha256", metadata.get("content_sha256")),
+    ):
         if stated != digest:
             yield Finding(where, f"is {stated!r}, but the content's is {digest}")
 

@@ -73,7 +73,9 @@ def show(variant: Annotated[str, typer.Argument(help="A variant id.")], as_json:
     out.print(f"[bold]{parsed}[/]")
     out.print(f"environment  {parsed.environment_id}")
     published = roots.exists(parsed.dataset_id())
-    out.print(f"dataset      {parsed.dataset_id()}  ({'published here' if published else 'not published here'})\n")
+    out.print(
+        f"dataset      {parsed.dataset_id()}  ({'published here' if published else 'not published here'})\n"
+    )
     if changed:
         rows = [[d.quantity, f"{d.before:.6g}", f"{d.after:.6g}", d.unit] for d in changed]
         print_table(("changed", "base", "variant", "unit"), rows, numeric=("base", "variant"))
@@ -88,7 +90,9 @@ def _print_record(record: Any) -> None:
         out.print("no expert policy is shipped: `imujoco train` makes one")
         return
     evaluation, random = record["evaluation"], record.get("random")
-    out.print(f"expert       {record['algorithm']}, {record['steps']:,} steps from {record['start']}, seed {record['seed']}")
+    out.print(
+        f"expert       {record['algorithm']}, {record['steps']:,} steps from {record['start']}, seed {record['seed']}"
+    )
     out.print(
         f"return       {evaluation['return_mean']:.1f} ± {evaluation['return_std']:.1f} "
         f"({evaluation['return_min']:.1f} to {evaluation['return_max']:.1f}) over {evaluation['episodes']} episodes "

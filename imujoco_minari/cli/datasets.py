@@ -7,7 +7,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from imujoco_minari.cli.app import AsJson, Category, Robot, app, fail, out, print_json, print_table, progress, say
+from imujoco_minari.cli.app import (
+    AsJson,
+    Category,
+    Robot,
+    app,
+    fail,
+    out,
+    print_json,
+    print_table,
+    progress,
+    say,
+)
 from imujoco_minari.errors import DatasetNotFoundError, VariantError
 from imujoco_minari.variants import EXPERT, Variant, bases, catalogue
 
@@ -27,7 +38,9 @@ def publish_datasets(
     tier: Tier = EXPERT,
     episodes: Annotated[int, typer.Option("--episodes", "-n", min=1, help="Episodes a dataset.")] = 100,
     seed: Annotated[int, typer.Option("--seed", "-s", min=0, help="Base seed of all that is random.")] = 0,
-    policy: Annotated[Path | None, typer.Option("--policy", help="A Stable-Baselines3 .zip or .safetensors.")] = None,
+    policy: Annotated[
+        Path | None, typer.Option("--policy", help="A Stable-Baselines3 .zip or .safetensors.")
+    ] = None,
     stochastic: Annotated[bool, typer.Option("--stochastic", help="Sample actions, not their mode.")] = False,
     jobs: Jobs = 1,
     force: Annotated[bool, typer.Option("--force", help="Replace what has the id.")] = False,
@@ -102,7 +115,9 @@ def _report(outcome: Published, quiet: bool) -> None:
             f"{outcome.return_mean:.1f} ± {outcome.return_std:.1f}, in {outcome.seconds:.1f} s\n  at {outcome.path}"
         )
     else:
-        out.print(f"left alone {outcome.dataset_id}: it is there already, at {outcome.path} (--force replaces it)")
+        out.print(
+            f"left alone {outcome.dataset_id}: it is there already, at {outcome.path} (--force replaces it)"
+        )
 
 
 @app.command()
@@ -112,7 +127,9 @@ def combine(
     robot: Robot = None,
     category: Category = None,
     tier: Tier = EXPERT,
-    link: Annotated[bool, typer.Option("--link", help="Refer to the episodes instead of copying them.")] = False,
+    link: Annotated[
+        bool, typer.Option("--link", help="Refer to the episodes instead of copying them.")
+    ] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace what has the id.")] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -176,7 +193,9 @@ def verify_datasets(
         with progress(dataset_id, _episodes(dataset_id), quiet=as_json or not replay) as advance:
             results[dataset_id] = verify(dataset_id, replay=replay, on_episode=advance)
     if as_json:
-        print_json({dataset_id: [vars(finding) for finding in findings] for dataset_id, findings in results.items()})
+        print_json(
+            {dataset_id: [vars(finding) for finding in findings] for dataset_id, findings in results.items()}
+        )
     else:
         for dataset_id, findings in results.items():
             out.print(f"{dataset_id}: " + (f"{len(findings)} findings" if findings else "sound"))
@@ -193,7 +212,9 @@ def _episodes(dataset_id: str) -> int:
     from imujoco_minari import roots
 
     try:
-        metadata = json.loads((roots.dataset_folder(dataset_id) / "data" / "metadata.json").read_text("utf-8"))
+        metadata = json.loads(
+            (roots.dataset_folder(dataset_id) / "data" / "metadata.json").read_text("utf-8")
+        )
         return int(metadata["total_episodes"])
     except (OSError, ValueError, KeyError, TypeError):
         return 0
