@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import platform
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -16,7 +16,9 @@ from typing import Any
 
 import h5py
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from joblib import Parallel, delayed
+from minari.data_collector import EpisodeBuffer
 from minari.data_collector.callbacks import EpisodeMetadataCallback
 from minari.dataset.minari_storage import MinariStorage
 
@@ -144,6 +146,59 @@ def publish(
     return _summary(recipe.dataset_id, created=True, seconds=time.monotonic() - start)
 
 
+@dataclass(frozen=True)
+class External:
+    """What identifies a dataset whose episodes were not rolled out from a recipe.
+
+    Attributes:
+        dataset_id: the id under which it is published.
+        attributes: what the root and every episode carry, :func:`content.attributes` among them.
+        env_spec: the environment that the dataset recovers.
+        mjcf: the MJCF text that this environment runs.
+        metadata: what ``metadata.json`` says beyond what follows from the episodes.
+    """
+
+    dataset_id: str
+    attributes: Mapping[str, Any]
+    env_spec: EnvSpec
+    mjcf: str
+    metadata: Mapping[str, Any]
+
+
+def publish_episodes(
+    external: External, episodes: Iterable[EpisodeBuffer], *, force: bool = False
+) -> Published:
+    """Publish episodes that were made elsewhere; staged, checked and committed as any other dataset.
+
+    Raises:
+        ImujocoError: when the root cannot be written, or the check of the staged dataset fails.
+    """
+    dataset_id = external.dataset_id
+    if roots.exists(dataset_id) and not force:
+        return _summary(dataset_id, created=False)
+    start = time.monotonic()
+    with roots.staging() as folder:
+        staged = folder / "dataset"
+        data = staged / "data"
+        data.mkdir(parents=True)
+        storage = MinariStorage.new(data, env_spec=external.env_spec)
+        storage.update_episodes(episodes)
+        sealed = _seal(storage, external.attributes, external.mjcf)
+        storage.update_metadata(
+            sealed
+            | {"dataset_id": dataset_id, "minari_version": version("minari")}
+            | {**external.metadata, "dataset_size": storage.get_size()}
+        )
+        findings = inspect(data, replay_episodes=1)
+        if findings:
+            raise DatasetError(f"{dataset_id}: not published, its check found: {findings[0]}")
+        try:
+            roots.commit(staged, dataset_id, replace=force)
+        except DatasetExistsError:
+            return _summary(dataset_id, created=False)
+    return _summary(dataset_id, created=True, seconds=time.monotonic() - start)
+
+
 def publish_all(
     recipes: Sequence[Recipe],
     *,
@@ -219,19 +274,10 @@ def _remove(part: Path) -> None:
 def _complete(recipe: Recipe, policy: Policy, data: Path) -> None:
     """Add what the collector did not record: attributes, digests, metadata."""
     storage = MinariStorage.read(data)
-    storage.update_episode_metadata(storage.apply(EpisodeMetadataCallback()))
     attributes = content.attributes(recipe.variant, recipe.tier)
-    mjcf = canonical_mjcf(recipe.variant)
-    with h5py.File(content.main_file(data), "a") as file:
-        file.attrs.update(attributes)
-        for episode in range(recipe.episodes):
-            group = file[f"episode_{episode}"]
-            group.attrs.update(attributes)
-            content.seal_episode(group)
-        digest = content.content_sha256(file, recipe.episodes)
-        file.attrs.update({"mjcf": mjcf, "mjcf_sha256": mjcf_sha256(mjcf), "content_sha256": digest})
+    sealed = _seal(storage, attributes, canonical_mjcf(recipe.variant))
     storage.update_metadata(
-        attributes
+        sealed
         | reference_scores(recipe.variant)
         | {
             "dataset_id": recipe.dataset_id,
@@ -241,8 +287,6 @@ def _complete(recipe: Recipe, policy: Policy, data: Path) -> None:
             "code_permalink": f"imujoco-minari=={version('imujoco-minari')}",
             "description": _description(recipe, policy),
             "requirements": [f"{name}=={version(name)}" for name in ("mujoco", "gymnasium")],
-            "mjcf_sha256": mjcf_sha256(mjcf),
-            "content_sha256": digest,
             "policy_sha256": policy.sha256,
             "policy_deterministic": policy.deterministic,
             "seed": recipe.seed,
@@ -253,6 +297,22 @@ def _complete(recipe: Recipe, policy: Policy, data: Path) -> None:
             "dataset_size": storage.get_size(),
         }
     )
+
+
+def _seal(storage: MinariStorage, attributes: Mapping[str, Any], mjcf: str) -> dict[str, Any]:
+    """Write attributes and digests into the HDF5 file; return them as the metadata repeats them."""
+    storage.update_episode_metadata(storage.apply(EpisodeMetadataCallback()))
+    with h5py.File(content.main_file(storage.data_path), "a") as file:
+        for episode in range(len(file)):
+            group = file[f"episode_{episode}"]
+            group.attrs.update(attributes)
+            content.seal_episode(group)
+        digests = {
+            "mjcf_sha256": mjcf_sha256(mjcf),
+            "content_sha256": content.content_sha256(file, len(file)),
+        }
+        file.attrs.update({**attributes, "mjcf": mjcf, **digests})
+    return {**attributes, **digests}
 
 
 def _description(recipe: Recipe, policy: Policy) -> str:
