@@ -2,7 +2,7 @@
 
 A dataset is built in a hidden folder of the root, which Minari does not list, and becomes visible by
 one rename. A staging folder is locked by the process that made it, so that the next process can tell
-what a dead one left from what a living one is at.
+what a dead one left from what a living one is at. docs/promises.md says what users may rely on.
 """
 
 from __future__ import annotations
@@ -19,15 +19,18 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from imujoco_minari.errors import DatasetError, DatasetExistsError, StorageError
+from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError, StorageError
 
 STAGING = ".imujoco-staging"
 NAMESPACE_FILE = "namespace_metadata.json"
 
 _LOCK = "lock"
+_REPLACEMENT, _OLD = "replacement.json", "replaced"
 # Minari's grammar of ids, without the leading dots, double slashes and ".." that could leave the root.
 _DATASET_ID = re.compile(r"(?:[A-Za-z0-9_][-\w]*/)+[A-Za-z0-9_][-\w]*-v[0-9]{1,6}", re.ASCII)
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
+# What a system or a file system answers that does not have a call.
+_UNSUPPORTED = frozenset({errno.ENOSYS, errno.EINVAL, errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOLCK})
 
 
 def datasets_root() -> Path:
@@ -56,24 +59,38 @@ def dataset_folder(dataset_id: str) -> Path:
             f"malformed dataset id {str(dataset_id)[:80]!r}; "
             "valid: <namespace>/<name>-v<version>, as in imujoco/hopper-all-v0"
         )
+    if "data" in dataset_id.split("/"):
+        # Minari takes every folder that holds a "data" for a dataset and looks no deeper.
+        raise DatasetError(f"malformed dataset id {dataset_id!r}: a namespace cannot be named 'data'")
     return datasets_root() / dataset_id
 
 
 def exists(dataset_id: str) -> bool:
     """Return whether the root holds a dataset, or anything else, under this id."""
-    return dataset_folder(dataset_id).exists()
+    folder = dataset_folder(dataset_id)
+    try:
+        folder.lstat()
+    except OSError:
+        return False
+    return True
 
 
 @contextmanager
-def staging() -> Iterator[Path]:
+def staging(*dataset_ids: str) -> Iterator[Path]:
     """Make a locked staging folder in the root, and remove it at the end, whatever happens.
 
+    Args:
+        *dataset_ids: what will be committed from it; what stands in the way is told now, not after the work.
+
     Raises:
-        StorageError: when the root cannot be written.
+        DatasetError: when an id lies within a dataset.
+        StorageError: when the root cannot be written, then or later.
     """
     root = datasets_root() / STAGING
     try:
         root.mkdir(parents=True, exist_ok=True)
+        for dataset_id in dataset_ids:
+            _check_place(dataset_folder(dataset_id))
         tidy()
         folder, lock = _locked_folder(root)
     except OSError as error:
@@ -81,14 +98,34 @@ def staging() -> Iterator[Path]:
     try:
         yield folder
     except OSError as error:
-        if type(error) in (OSError, PermissionError):
-            raise _storage_error(error, root.parent) from None
-        raise
+        raise _storage_error(error, root.parent) from None
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
-        os.close(lock)
+        _discard(folder, lock)
         with suppress(OSError):
             root.rmdir()
+
+
+def _check_place(target: Path) -> None:
+    """Raise unless ``target`` can come into being by a rename out of the staging folder."""
+    root = datasets_root()
+    for parent in target.parents:
+        if parent == root:
+            break
+        if (parent / "data").exists():
+            raise DatasetError(
+                f"{target.relative_to(root)} would lie within the dataset {parent.relative_to(root)}, "
+                "where Minari does not look"
+            )
+        if parent.exists():
+            if not parent.is_dir():
+                raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(parent))
+            if not os.access(parent, os.W_OK | os.X_OK):
+                raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(parent))
+            if parent.stat().st_dev != root.stat().st_dev:
+                raise StorageError(
+                    f"{parent} is on another file system than the Minari root {root}, so that nothing can be "
+                    "moved there in one step: set MINARI_DATASETS_PATH to a folder of that file system"
+                )
 
 
 def _locked_folder(root: Path) -> tuple[Path, int]:
@@ -100,7 +137,7 @@ def _locked_folder(root: Path) -> tuple[Path, int]:
             folder = Path(tempfile.mkdtemp(dir=root))
             lock = os.open(folder / _LOCK, os.O_CREAT | os.O_RDWR)
             try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                _lock(lock)
                 if (folder / _LOCK).stat().st_ino == os.fstat(lock).st_ino:
                     return folder, lock
             except BaseException:
@@ -109,25 +146,49 @@ def _locked_folder(root: Path) -> tuple[Path, int]:
             os.close(lock)
 
 
+def _lock(descriptor: int) -> bool:
+    """Lock a file, or raise BlockingIOError; return False where the file system has no locks."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno in _UNSUPPORTED:
+            return False
+        raise
+    return True
+
+
 def tidy() -> None:
-    """Remove the staging folders of processes that are dead; leave those of the living alone."""
+    """Remove the staging folders of processes that are dead; leave those of the living alone.
+
+    A replacement that was cut between its two steps is finished. Where the file system has no locks,
+    nothing tells the dead from the living, and nothing is removed.
+    """
     for folder in (datasets_root() / STAGING).glob("*"):
         try:
-            lock = os.open(folder / _LOCK, os.O_RDWR)
-        except FileNotFoundError:
-            # Made a moment ago, or left by a process that died in that moment.
-            with suppress(OSError):
-                folder.rmdir()
-            continue
+            # Made when it is not there: a process that died while it removed its folder took its lock first.
+            lock = os.open(folder / _LOCK, os.O_CREAT | os.O_RDWR)
         except OSError:
             continue
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            shutil.rmtree(folder, ignore_errors=True)
+            dead = _lock(lock)
         except OSError:
-            pass
-        finally:
+            dead = False
+        if not dead:
             os.close(lock)
+            continue
+        _discard(folder, lock)
+
+
+def _discard(folder: Path, lock: int) -> None:
+    """Remove a staging folder whose lock is ours, unless it holds the only copy of a dataset."""
+    settled = _finish_replacement(folder)
+    if settled:
+        shutil.rmtree(folder, ignore_errors=True)
+    os.close(lock)
+    if not settled:
+        return
+    # NFS keeps an open file that is removed under another name until it is closed.
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 def commit(staged: Path, dataset_id: str, *, replace: bool = False) -> Path:
@@ -144,6 +205,7 @@ def commit(staged: Path, dataset_id: str, *, replace: bool = False) -> Path:
     """
     target = dataset_folder(dataset_id)
     try:
+        _check_place(target)
         _sync(staged)
         make_namespace(dataset_id.rpartition("/")[0])
         try:
@@ -154,10 +216,13 @@ def commit(staged: Path, dataset_id: str, *, replace: bool = False) -> Path:
                     f"{dataset_id} is already there, at {target}; it was left alone "
                     "(--force replaces it, `minari delete` removes it)"
                 ) from None
-            _exchange(staged, target)
+            if not (target / "data").is_dir():
+                raise DatasetExistsError(
+                    f"what lies at {target} is no dataset, so it is not replaced; move it away first"
+                ) from None
+            if not _exchange(staged, target):
+                _replace_in_two_steps(staged, target, dataset_id)
         _sync_folder(target.parent)
-    except DatasetExistsError:
-        raise
     except OSError as error:
         raise _storage_error(error, target) from None
     return target
@@ -175,18 +240,25 @@ def make_namespace(namespace: str, description: str = "") -> None:
         folder.mkdir(parents=True, exist_ok=True)
         if (folder / NAMESPACE_FILE).exists():
             continue
-        handle, name = tempfile.mkstemp(dir=folder, prefix=".namespace-")
-        try:
-            with os.fdopen(handle, "w") as file:
-                json.dump({"description": description} if description else {}, file)
-                file.flush()
-                os.fsync(file.fileno())
-            Path(name).chmod(0o644)
-            # A link fails where a rename would overwrite what another process has just written.
-            with suppress(FileExistsError):
-                (folder / NAMESPACE_FILE).hardlink_to(name)
-        finally:
-            Path(name).unlink()
+        with staging() as temporary:
+            file = temporary / NAMESPACE_FILE
+            _write_json(file, {"description": description} if description else {})
+            try:
+                # A link fails where a rename would overwrite what another process has just written.
+                (folder / NAMESPACE_FILE).hardlink_to(file)
+            except FileExistsError:
+                pass
+            except OSError as error:
+                if error.errno not in {*_UNSUPPORTED, errno.EPERM}:
+                    raise
+                file.rename(folder / NAMESPACE_FILE)
+
+
+def _write_json(path: Path, value: object) -> None:
+    with path.open("x", encoding="utf-8") as file:
+        json.dump(value, file)
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def _rename_new(source: Path, target: Path) -> None:
@@ -199,16 +271,53 @@ def _rename_new(source: Path, target: Path) -> None:
         raise
 
 
-def _exchange(source: Path, target: Path) -> None:
-    """Swap two folders in one step, so that at every moment ``target`` is the old or the new one."""
+def _exchange(source: Path, target: Path) -> bool:
+    """Swap two folders in one step, so that at every moment ``target`` is the old or the new one.
+
+    Returns:
+        Whether it was done: False where the system or the file system cannot, and nothing has changed.
+    """
     libc = ctypes.CDLL(None, use_errno=True)
     if not hasattr(libc, "renameat2"):
-        raise StorageError(
-            f"{target}: this system cannot replace a dataset in one step; `minari delete` it first"
-        )
-    if libc.renameat2(_AT_FDCWD, os.fsencode(source), _AT_FDCWD, os.fsencode(target), _RENAME_EXCHANGE) != 0:
-        code = ctypes.get_errno()
-        raise OSError(code, os.strerror(code), str(target))
+        return False
+    if libc.renameat2(_AT_FDCWD, os.fsencode(source), _AT_FDCWD, os.fsencode(target), _RENAME_EXCHANGE) == 0:
+        return True
+    code = ctypes.get_errno()
+    if code in _UNSUPPORTED:
+        return False
+    raise OSError(code, os.strerror(code), str(target))
+
+
+def _replace_in_two_steps(staged: Path, target: Path, dataset_id: str) -> None:
+    """Move the old dataset away and the new one in, so that a kill in between loses neither.
+
+    A note in the staging folder says what is going on; who finds it in a dead one finishes the work.
+    """
+    folder = staged.parent
+    _write_json(folder / _REPLACEMENT, {"dataset_id": dataset_id, "staged": staged.name})
+    _sync_folder(folder)
+    target.rename(folder / _OLD)
+    staged.rename(target)
+
+
+def _finish_replacement(folder: Path) -> bool:
+    """Finish a replacement that was cut between its steps: the new dataset in place, or else the old.
+
+    Returns:
+        Whether the folder may go; false when it holds the old dataset and nothing is in its place.
+    """
+    if not (folder / _OLD).exists():
+        return True
+    try:
+        note = json.loads((folder / _REPLACEMENT).read_text("utf-8"))
+        target = dataset_folder(note["dataset_id"])
+        for candidate in (folder / Path(note["staged"]).name, folder / _OLD):
+            with suppress(OSError):
+                _rename_new(candidate, target)
+                _sync_folder(target.parent)
+        return target.exists()
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
 
 
 def _sync(folder: Path) -> None:
@@ -224,11 +333,17 @@ def _sync_folder(folder: Path) -> None:
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)
+    except OSError as error:
+        if error.errno not in _UNSUPPORTED:
+            raise
     finally:
         os.close(handle)
 
 
-def _storage_error(error: OSError, place: Path) -> StorageError:
+def _storage_error(error: OSError, place: Path) -> OSError:
+    """Return ``error`` as one of ours, which it may be already."""
+    if isinstance(error, ImujocoError):
+        return error
     return StorageError(
         f"cannot write to the Minari root, at {error.filename or place}: {error.strerror or error}"
     )

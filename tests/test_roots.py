@@ -1,0 +1,323 @@
+"""The Minari root: ids that cannot leave it, staging folders, commits, and the tidying of leftovers."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import minari
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from minari import namespace
+
+from imujoco_minari import roots
+from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError, StorageError
+
+ID = "imujoco/hopper-base-v0"
+
+
+def stage(folder: Path, mark: str, dataset_id: str = ID) -> Path:
+    """Stage what Minari takes for a dataset, with a mark to tell it by."""
+    staged = folder / "dataset"
+    (staged / "data").mkdir(parents=True)
+    (staged / "data" / "metadata.json").write_text(json.dumps({"dataset_id": dataset_id, "mark": mark}))
+    return staged
+
+
+def put(mark: str, dataset_id: str = ID, *, replace: bool = False) -> None:
+    with roots.staging() as folder:
+        roots.commit(stage(folder, mark, dataset_id), dataset_id, replace=replace)
+
+
+def listed() -> dict[str, str]:
+    return {name: str(metadata["mark"]) for name, metadata in minari.list_local_datasets().items()}
+
+
+def leftovers(root: Path) -> list[str]:
+    return sorted(path.name for path in root.rglob(".*"))
+
+
+def dead_folder(root: Path) -> Path:
+    """Leave what a process leaves that dies in its work."""
+    code = (
+        "import os, sys; from imujoco_minari import roots\n"
+        "with roots.staging() as folder: print(folder, flush=True); os.kill(os.getpid(), 9)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == -9, done.stderr
+    return Path(done.stdout.strip())
+
+
+class TestIds:
+    @pytest.mark.parametrize(
+        "dataset_id",
+        [
+            "",
+            "hopper-v0",
+            "../hopper-v0",
+            "imujoco/../hopper-v0",
+            "/imujoco/hopper-v0",
+            "imujoco//hopper-v0",
+            "imujoco/.hidden-v0",
+            ".imujoco-staging/hopper-v0",
+            "imujoco/hopper",
+            "imujoco/hopper-v0\n",
+            "imujoco/hopper-v0\0",
+            "imujoco\\hopper-v0",
+            "imujoco/hópper-v0",
+            "imujoco/" + "a" * 300 + "-v0",
+            "imujoco/hopper-v9999999",
+            "data/hopper-v0",
+            "imujoco/data/hopper-v0",
+            None,
+            7,
+        ],
+    )
+    def test_what_is_no_id_is_refused(self, dataset_id: object) -> None:
+        with pytest.raises(DatasetError, match="malformed dataset id"):
+            roots.dataset_folder(dataset_id)  # type: ignore[arg-type]
+
+    @given(st.text(max_size=60) | st.from_regex(r"[\w./\\~-]{1,40}-v[0-9]"))
+    def test_no_text_names_a_place_outside_the_root(self, text: str) -> None:
+        try:
+            folder = roots.dataset_folder(text)
+        except ImujocoError:
+            return
+        root = roots.datasets_root()
+        assert root.resolve() in folder.resolve().parents
+        assert not any(part.startswith(".") for part in folder.relative_to(root).parts)
+
+    def test_a_namespace_named_data_would_break_minaris_listing(self, root: Path) -> None:
+        put("sound")
+        (root / "imujoco" / "data").mkdir()
+        with pytest.raises(TypeError):
+            minari.list_local_datasets()
+
+
+class TestCommit:
+    def test_a_committed_dataset_is_listed_and_leaves_nothing_else(self, root: Path) -> None:
+        put("first")
+        assert listed() == {ID: "first"}
+        assert namespace.list_local_namespaces() == ["imujoco"]
+        assert leftovers(root) == []
+
+    def test_a_staged_dataset_is_not_listed(self) -> None:
+        with roots.staging() as folder:
+            stage(folder, "first")
+            assert listed() == {}
+        assert listed() == {}
+
+    def test_a_taken_id_is_left_alone(self, root: Path) -> None:
+        put("first")
+        with pytest.raises(DatasetExistsError, match="left alone"):
+            put("second")
+        assert listed() == {ID: "first"}
+        assert leftovers(root) == []
+
+    def test_replace_puts_the_new_one_in(self, root: Path) -> None:
+        put("first")
+        put("second", replace=True)
+        assert listed() == {ID: "second"}
+        assert leftovers(root) == []
+
+    def test_replace_does_not_remove_what_is_no_dataset(self, root: Path) -> None:
+        put("inner", "imujoco/hopper-v0/inner-v0")
+        with pytest.raises(DatasetExistsError, match="no dataset"):
+            put("outer", "imujoco/hopper-v0", replace=True)
+        assert listed() == {"imujoco/hopper-v0/inner-v0": "inner"}
+
+    def test_a_dataset_cannot_lie_within_another(self) -> None:
+        put("outer", "imujoco/hopper-v0")
+        with pytest.raises(DatasetError, match="within the dataset"):
+            put("inner", "imujoco/hopper-v0/inner-v0")
+        assert listed() == {"imujoco/hopper-v0": "outer"}
+
+    def test_a_namespaces_description_is_kept(self, root: Path) -> None:
+        namespace.create_namespace("imujoco", description="mine")
+        put("first")
+        assert namespace.get_namespace_metadata("imujoco") == {"description": "mine"}
+
+    def test_a_namespace_is_made_where_there_are_no_hard_links(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        def refuse(self: Path, target: Path) -> None:
+            raise OSError(errno.EPERM, "no links here")
+
+        monkeypatch.setattr(Path, "hardlink_to", refuse)
+        put("first")
+        assert namespace.get_namespace_metadata("imujoco") == {}
+
+    def test_others_may_read_what_they_could_read_anywhere(self, root: Path) -> None:
+        mask = os.umask(0o022)
+        try:
+            put("first")
+        finally:
+            os.umask(mask)
+        modes = {path.stat().st_mode & 0o777 for path in root.rglob("*") if path.is_dir()}
+        assert modes == {0o755}
+
+
+class TestRoot:
+    def test_a_root_that_is_a_file(self, root: Path) -> None:
+        root.write_text("")
+        with pytest.raises(StorageError, match="cannot write to the Minari root"), roots.staging():
+            pass
+
+    def test_a_namespace_that_is_a_file(self, root: Path) -> None:
+        root.mkdir()
+        (root / "imujoco").write_text("")
+        with pytest.raises(StorageError, match="Not a directory"), roots.staging(ID):
+            pass
+
+    def test_a_read_only_root(self, root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        def refuse(*args: object, **kwargs: object) -> None:
+            raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(root))
+
+        monkeypatch.setattr(os, "mkdir", refuse)
+        with pytest.raises(StorageError, match="Read-only file system"), roots.staging():
+            pass
+
+    def test_a_namespace_on_another_file_system_is_told_before_the_work(self, root: Path) -> None:
+        elsewhere = Path("/dev/shm")
+        if not elsewhere.is_dir() or elsewhere.stat().st_dev == root.parent.stat().st_dev:
+            pytest.skip("no second file system here")
+        root.mkdir()
+        (root / "imujoco").symlink_to(elsewhere)
+        with pytest.raises(StorageError, match="another file system"), roots.staging(ID):
+            pass
+
+    def test_errors_in_the_work_say_what_could_not_be_written(self, root: Path) -> None:
+        with pytest.raises(StorageError, match="No space left"), roots.staging():
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        assert not root.exists() or leftovers(root) == []
+
+    def test_no_home_directory(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        def fail() -> Path:
+            raise RuntimeError
+
+        monkeypatch.delenv("MINARI_DATASETS_PATH")
+        monkeypatch.setattr(Path, "home", fail)
+        with pytest.raises(StorageError, match="MINARI_DATASETS_PATH"):
+            roots.datasets_root()
+
+
+class TestTidying:
+    def test_a_dead_process_leaves_nothing_to_the_next(self, root: Path) -> None:
+        folder = dead_folder(root)
+        stage(folder, "half")
+        assert listed() == {}
+        put("whole")
+        assert listed() == {ID: "whole"}
+        assert leftovers(root) == []
+
+    def test_a_folder_whose_removal_was_cut_short_goes_too(self, root: Path) -> None:
+        folder = dead_folder(root)
+        stage(folder, "half")
+        (folder / "lock").unlink()
+        roots.tidy()
+        assert not folder.exists()
+
+    def test_an_empty_folder_goes_too(self, root: Path) -> None:
+        folder = dead_folder(root)
+        (folder / "lock").unlink()
+        roots.tidy()
+        assert not folder.exists()
+
+    def test_a_living_process_is_left_alone(self) -> None:
+        with roots.staging() as folder:
+            staged = stage(folder, "mine")
+            roots.tidy()
+            with roots.staging():
+                pass
+            assert (staged / "data" / "metadata.json").exists()
+            roots.commit(staged, ID)
+        assert listed() == {ID: "mine"}
+
+    def test_without_locks_nothing_is_taken_for_dead(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        def refuse(*args: object) -> None:
+            raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
+
+        monkeypatch.setattr(fcntl, "flock", refuse)
+        with roots.staging() as folder:
+            staged = stage(folder, "mine")
+            roots.tidy()
+            assert staged.exists()
+            roots.commit(staged, ID)
+        assert listed() == {ID: "mine"}
+
+
+class TestWithoutExchange:
+    """Systems that cannot swap two folders in one step."""
+
+    @pytest.fixture(autouse=True)
+    def _no_exchange(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(roots, "_exchange", lambda source, target: False)
+
+    def test_replace(self, root: Path) -> None:
+        put("old")
+        put("new", replace=True)
+        assert listed() == {ID: "new"}
+        assert leftovers(root) == []
+
+    def test_killed_between_the_steps_the_next_run_puts_the_new_one_in(self, root: Path) -> None:
+        put("old")
+        folder = dead_folder(root)
+        stage(folder, "new")
+        (folder / "replacement.json").write_text(json.dumps({"dataset_id": ID, "staged": "dataset"}))
+        (root / ID).rename(folder / "replaced")
+        roots.tidy()
+        assert listed() == {ID: "new"}
+        assert not folder.exists()
+
+    def test_killed_before_the_steps_the_old_one_stands(self, root: Path) -> None:
+        put("old")
+        folder = dead_folder(root)
+        stage(folder, "new")
+        (folder / "replacement.json").write_text(json.dumps({"dataset_id": ID, "staged": "dataset"}))
+        roots.tidy()
+        assert listed() == {ID: "old"}
+        assert not folder.exists()
+
+    @pytest.mark.parametrize("error", [OSError(errno.EIO, "broken"), KeyboardInterrupt()])
+    def test_cut_between_the_steps_one_of_the_two_stands(
+        self, root: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException
+    ) -> None:
+        put("old")
+        rename = Path.rename
+        failed = []
+
+        def fail_once(self: Path, target: Path) -> Path:
+            if self.name == "dataset" and roots.dataset_folder(ID) == target and not target.exists():
+                failed.append(self)
+                if len(failed) == 1:
+                    raise error
+            return rename(self, target)
+
+        monkeypatch.setattr(Path, "rename", fail_once)
+        with pytest.raises((StorageError, KeyboardInterrupt)):
+            put("new", replace=True)
+        assert failed
+        assert listed() in ({ID: "old"}, {ID: "new"})
+        assert leftovers(root) == []
+
+    def test_the_only_copy_is_never_removed(self, root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        put("old")
+        rename = Path.rename
+
+        def fail(self: Path, target: Path) -> Path:
+            if target == roots.dataset_folder(ID):
+                raise OSError(errno.EIO if (root / ID).exists() is False else errno.EEXIST, "broken")
+            return rename(self, target)
+
+        with monkeypatch.context() as broken:
+            broken.setattr(Path, "rename", fail)
+            with pytest.raises(StorageError, match="broken"):
+                put("new", replace=True)
+        assert listed() == {}
+        roots.tidy()
+        assert listed() == {ID: "new"}
+        assert not list((root / roots.STAGING).iterdir())
