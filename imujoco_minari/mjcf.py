@@ -91,7 +91,11 @@ def _edited(variant: Variant) -> tuple[str, float]:
 def _baked(robot: str) -> Any:
     """Return the base robot's spec with its compiled inertias written out."""
     asset = resources.files("gymnasium.envs.mujoco") / "assets" / specification(robot).model
-    text = asset.read_text("utf-8")
+    return bake(asset.read_text("utf-8"))
+
+
+def bake(text: str) -> Any:
+    """Return the ``mujoco.MjSpec`` of an MJCF text whose bodies all have names, inertias written out."""
     spec = mujoco.MjSpec.from_string(text)
     # to_xml() would otherwise round what it writes to six digits.
     spec.compiler.savecompiled = False
