@@ -19,6 +19,8 @@ from imujoco_minari.variants import Variant
 MAIN_FILE = "main_data.hdf5"
 ARRAYS = ("observations", "actions", "rewards", "terminations", "truncations")
 DIGEST = "sha256"
+# False on imported episodes: they have no seed that would replay them.
+REPLAYABLE = "replayable"
 
 
 def attributes(variant: Variant, tier: str) -> dict[str, Any]:

@@ -20,9 +20,9 @@ import numpy as np
 
 from imujoco_minari import content, roots
 from imujoco_minari.errors import DatasetNotFoundError, ImujocoError
+from imujoco_minari.importing.original import CATALOGUE, OriginalVariant, is_original, variant_of
 from imujoco_minari.mjcf import canonical_mjcf, mjcf_sha256
 from imujoco_minari.registration import make
-from imujoco_minari.variants import Variant
 
 MAX_FINDINGS = 100
 # One HDF5 attribute or array that claims more than this is refused before it is read.
@@ -162,7 +162,7 @@ def _episode_structure(group: h5py.Group, name: str, number: int, length: int) -
     for key, value in (("id", number), ("total_steps", length)):
         if key not in attrs or attrs[key] != value:
             yield Finding(f"{name}@{key}", f"is {attrs.get(key)!r}, not {value}")
-    if "seed" not in attrs:
+    if "seed" not in attrs and attrs.get(content.REPLAYABLE, True):
         yield Finding(f"{name}@seed", "is missing, so the episode cannot be replayed")
     for key in content.ARRAYS:
         expected = length + 1 if key == "observations" else length
@@ -194,7 +194,7 @@ def _attributes(file: h5py.File, metadata: dict[str, Any]) -> Iterator[Finding]:
         attrs = file[f"episode_{number}"].attrs
         name = f"episode_{number}"
         try:
-            variant = Variant.parse(str(attrs["variant"]))
+            variant = variant_of(attrs)
         except (ImujocoError, KeyError):
             yield Finding(f"{name}@variant", f"is {attrs.get('variant')!r}, which is no variant")
             continue
@@ -202,7 +202,7 @@ def _attributes(file: h5py.File, metadata: dict[str, Any]) -> Iterator[Finding]:
             if key not in attrs or attrs[key] != value:
                 yield Finding(f"{name}@{key}", f"is {attrs.get(key)!r}, not {value!r}")
         if not collection:
-            for key in ("variant", "tier"):
+            for key in ("variant", "tier", CATALOGUE, content.REPLAYABLE):
                 if attrs.get(key) != file.attrs.get(key):
                     yield Finding(
                         f"{name}@{key}",
@@ -210,7 +210,8 @@ def _attributes(file: h5py.File, metadata: dict[str, Any]) -> Iterator[Finding]:
                     )
     if collection:
         return
-    for key in (*content.attributes(Variant.parse(str(file.attrs["variant"])), ""), "mjcf_sha256"):
+    variant = variant_of(file.attrs)
+    for key in (*content.attributes(variant, ""), "mjcf_sha256", CATALOGUE, content.REPLAYABLE):
         if metadata.get(key) != file.attrs.get(key):
             yield Finding(
                 f"metadata.json/{key}", f"is {metadata.get(key)!r}, but the file's is {file.attrs.get(key)!r}"
@@ -218,7 +219,10 @@ def _attributes(file: h5py.File, metadata: dict[str, Any]) -> Iterator[Finding]:
     text = str(file.attrs["mjcf"])
     if mjcf_sha256(text) != file.attrs["mjcf_sha256"]:
         yield Finding("@mjcf", "does not have the digest that mjcf_sha256 states")
-    elif text != canonical_mjcf(Variant.parse(str(file.attrs["variant"]))):
+    elif isinstance(variant, OriginalVariant):
+        if json.loads(metadata["env_spec"])["kwargs"].get("mjcf") != text:
+            yield Finding("metadata.json/env_spec", "runs another model than @mjcf")
+    elif text != canonical_mjcf(variant):
         yield Finding("@mjcf", f"is not the model that {_simulator()} makes of the variant")
 
 
@@ -257,14 +261,29 @@ def _replay(file: h5py.File, episodes: range, on_episode: Callable[[], None] | N
         for number in episodes:
             group = file[f"episode_{number}"]
             name = str(group.attrs["variant"])
-            if name not in environments:
-                environments[name] = make(name)
-            yield from _replay_episode(group, f"episode_{number}", environments[name])
+            if _can_replay(file, group):
+                if name not in environments:
+                    environments[name] = _environment(file, group)
+                yield from _replay_episode(group, f"episode_{number}", environments[name])
             if on_episode is not None:
                 on_episode()
     finally:
         for env in environments.values():
             env.close()
+
+
+def _can_replay(file: h5py.File, group: h5py.Group) -> bool:
+    # An original's model stands in its dataset; a collection of several holds none.
+    return bool(group.attrs.get(content.REPLAYABLE, True)) and (
+        not is_original(group.attrs) or "mjcf" in file.attrs
+    )
+
+
+def _environment(file: h5py.File, group: h5py.Group) -> gym.Env[Any, Any]:
+    variant = variant_of(group.attrs)
+    if isinstance(variant, OriginalVariant):
+        return gym.make(variant.environment_spec(str(file.attrs["mjcf"])))
+    return make(variant)
 
 
 def _replay_episode(group: h5py.Group, name: str, env: gym.Env[Any, Any]) -> Iterator[Finding]:
