@@ -1,0 +1,131 @@
+"""Loaded arrays on disk, as ``.npy`` files that are mapped instead of read.
+
+An entry is named by the digest of all that decides its content: the datasets' ``content_sha256``, the
+selection and the dtype. It becomes visible by one rename and is never changed, so processes may share it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import DTypeLike
+
+from imujoco_minari import roots
+from imujoco_minari.arrays import STEP_ARRAYS, Arrays, Statistics
+from imujoco_minari.content import main_file
+from imujoco_minari.errors import StorageError
+from imujoco_minari.selection import Origin, Source
+
+# Part of every key: a change of what is stored makes the entries of before unreachable.
+_FORMAT = 1
+_TABLE = "table.json"
+
+
+def cache_folder() -> Path:
+    """Return where entries lie: ``IMUJOCO_MINARI_CACHE``, or a folder of ``XDG_CACHE_HOME`` or ``~/.cache``.
+
+    Raises:
+        StorageError: when there is no home directory to put it in.
+    """
+    if path := os.environ.get("IMUJOCO_MINARI_CACHE"):
+        return Path(path)
+    try:
+        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    except RuntimeError:
+        raise StorageError("no home directory for the cache: set IMUJOCO_MINARI_CACHE") from None
+    return home / "imujoco_minari" / "arrays"
+
+
+def key(
+    sources: Sequence[Source],
+    where: Mapping[str, Any],
+    portion: tuple[float, float],
+    seed: int,
+    dtype: DTypeLike | None,
+    normalize: bool | Statistics,
+) -> str:
+    """Return the name of the entry that holds these arrays."""
+    if isinstance(normalize, Statistics):
+        scaled: Any = [normalize.mean.tolist(), normalize.std.tolist()]
+    else:
+        scaled = normalize
+    parts = {
+        "format": _FORMAT,
+        "sources": [[_digest(source.file), source.episodes] for source in sources],
+        "where": {
+            name: wanted if isinstance(wanted, str | int) else sorted(wanted)
+            for name, wanted in where.items()
+        },
+        "portion": portion,
+        "seed": seed if portion != (0, 1) else None,
+        "dtype": dtype and np.dtype(dtype).str,
+        "normalize": scaled,
+    }
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+def _digest(file: Path) -> list[Any]:
+    """Return what tells a dataset's content: its digest, those of what it links to, or its file's state."""
+    with h5py.File(file, "r") as opened:
+        if "content_sha256" in opened.attrs:
+            return [str(opened.attrs["content_sha256"])]
+    state = file.stat()
+    own = [str(file.resolve()), state.st_size, state.st_mtime_ns]
+    metadata = json.loads((file.parent / "metadata.json").read_text("utf-8"))
+    linked = [
+        main_file(roots.dataset_folder(name) / "data") for name in metadata.get("combined_datasets", [])
+    ]
+    return own + [_digest(source) for source in linked if source.is_file()]
+
+
+def load(name: str) -> Arrays | None:
+    """Return the entry ``name``, mapped (changes stay in memory), or None when there is none."""
+    folder = cache_folder() / name
+    try:
+        stored = json.loads((folder / _TABLE).read_text("utf-8"))
+        mapped = {array: np.load(folder / f"{array}.npy", mmap_mode="c") for array in STEP_ARRAYS}
+        starts = np.load(folder / "episode_starts.npy")
+    except (OSError, ValueError):
+        return None
+    statistics = stored["statistics"] and Statistics(*map(np.array, stored["statistics"]))
+    table = tuple(Origin(**origin) for origin in stored["table"])
+    return Arrays(**mapped, episode_starts=starts, table=table, statistics=statistics)
+
+
+def store(name: str, arrays: Arrays) -> Arrays:
+    """Store arrays as the entry ``name`` and return them mapped.
+
+    Raises:
+        StorageError: when the cache folder cannot be written.
+    """
+    root = cache_folder()
+    statistics = arrays.statistics and [arrays.statistics.mean.tolist(), arrays.statistics.std.tolist()]
+    described = {"table": [asdict(origin) for origin in arrays.table], "statistics": statistics}
+    staged = None
+    try:
+        root.mkdir(parents=True, exist_ok=True)
+        staged = Path(tempfile.mkdtemp(prefix=".new-", dir=root))
+        for array in (*STEP_ARRAYS, "episode_starts"):
+            np.save(staged / f"{array}.npy", getattr(arrays, array))
+        (staged / _TABLE).write_text(json.dumps(described), "utf-8")
+        if load(name) is None:
+            # What is left of an entry that someone deleted by half would stand in the way.
+            shutil.rmtree(root / name, ignore_errors=True)
+            staged.rename(root / name)
+    except OSError as error:
+        if not (root / name / _TABLE).exists():
+            raise StorageError(f"cannot write to the cache, at {root}: {error.strerror or error}") from None
+    finally:
+        if staged is not None:
+            shutil.rmtree(staged, ignore_errors=True)
+    return load(name) or arrays

@@ -1,0 +1,131 @@
+"""Episodes straight out of a Minari HDF5 file, into arrays that are there already.
+
+An episode is five small arrays, and most of the time of a load goes into h5py's objects around them;
+so this reads through h5py's low-level interface, which takes a third of the time and no copy.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from imujoco_minari.errors import DatasetError
+
+Array = NDArray[Any]
+
+
+class EpisodeFile:
+    """A ``main_data.hdf5`` open for reading; links to episodes of other files are followed.
+
+    Args:
+        path: the file.
+        name: what messages call it, a dataset id.
+    """
+
+    def __init__(self, path: Path, name: str) -> None:
+        self.name = name
+        self._stack = ExitStack()
+        self._types: dict[np.dtype[Any], h5py.h5t.TypeID] = {}
+        self._files: dict[Path, h5py.File] = {}
+        self._path = path.resolve()
+        self._file = self._open(self._path)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.close()
+
+    @property
+    def attributes(self) -> Mapping[str, Any]:
+        """The attributes of the file's root."""
+        return dict(self._file.attrs)
+
+    def numbers(self) -> range:
+        """Return the numbers of all the file's episodes."""
+        return range(len(self._file))
+
+    def episode_attributes(self, episode: int, names: Sequence[str]) -> dict[str, Any]:
+        """Return those of the named attributes that an episode has."""
+        attributes = h5py.AttributeManager(h5py.Group(self._group(episode)))
+        return {name: attributes[name] for name in names if name in attributes}
+
+    def layout(self, episode: int, name: str) -> tuple[tuple[int, ...], np.dtype[Any]]:
+        """Return the shape and the dtype of one array of an episode.
+
+        Raises:
+            DatasetError: when there is no such array, as where observations are a dictionary.
+        """
+        stored = self._array(self._group(episode), name, episode)
+        return stored.shape, stored.dtype
+
+    def length(self, episode: int) -> int:
+        """Return the steps of an episode."""
+        return int(self._array(self._group(episode), "rewards", episode).shape[0])
+
+    def read(self, episode: int, targets: Mapping[str, Array]) -> None:
+        """Fill each array of ``targets`` (C-contiguous, of the stored shape) from the episode's of its name.
+
+        Raises:
+            DatasetError: when an array is missing, of another shape, or of another kind of values.
+        """
+        group = self._group(episode)
+        for name, out in targets.items():
+            stored = self._array(group, name, episode)
+            if stored.shape != out.shape:
+                raise DatasetError(
+                    f"{self.name}: episode {episode}: {name} are of shape {stored.shape}, not {out.shape}"
+                )
+            try:
+                stored.read(h5py.h5s.ALL, h5py.h5s.ALL, out, self._type(out.dtype))
+            except (OSError, TypeError) as error:
+                raise DatasetError(
+                    f"{self.name}: episode {episode}: {name} cannot be read as {out.dtype}: {error}"
+                ) from None
+
+    def _type(self, dtype: np.dtype[Any]) -> h5py.h5t.TypeID:
+        if dtype not in self._types:
+            self._types[dtype] = h5py.h5t.py_create(dtype, logical=True)
+        return self._types[dtype]
+
+    def _group(self, episode: int) -> h5py.h5g.GroupID:
+        """Open an episode's group, through a link where it lies in another file."""
+        name = f"episode_{episode}".encode()
+        try:
+            links = self._file.id.links
+            if links.get_info(name).type != h5py.h5l.TYPE_EXTERNAL:
+                return h5py.h5g.open(self._file.id, name)
+            # HDF5 itself would open and close the other file for every episode.
+            filename, name = links.get_val(name)
+            other = self._open((self._path.parent / os.fsdecode(filename)).resolve())
+            return h5py.h5g.open(other.id, name)
+        except (KeyError, ValueError):
+            raise DatasetError(f"{self.name} has no episode {episode}") from None
+
+    def _open(self, path: Path) -> h5py.File:
+        if path not in self._files:
+            try:
+                # An array here is a few chunks, and the default cache makes a table of 521 slots for each.
+                self._files[path] = self._stack.enter_context(h5py.File(path, "r", rdcc_nslots=31))
+            except OSError as error:
+                raise DatasetError(f"{self.name}: {path} cannot be read: {error}") from None
+        return self._files[path]
+
+    def _array(self, group: h5py.h5g.GroupID, name: str, episode: int) -> h5py.h5d.DatasetID:
+        try:
+            return h5py.h5d.open(group, name.encode())
+        except (KeyError, TypeError, ValueError):
+            raise DatasetError(
+                f"{self.name}: episode {episode} has no array {name}; "
+                "valid are datasets whose observations and actions are arrays"
+            ) from None
