@@ -1,0 +1,213 @@
+"""Dataset cards: the page that a dataset, and a namespace of them, shows on a remote.
+
+The front matter is what a Hugging Face dataset page reads. All numbers come from the dataset itself:
+its metadata, the attributes of its episodes, and the compiled models behind it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from imujoco_minari.content import MAIN_FILE
+from imujoco_minari.differences import differences
+from imujoco_minari.errors import VariantError
+from imujoco_minari.variants import EXPERT, Variant, parse_dataset_id
+
+ORIGINAL = "https://zenodo.org/records/7971395"
+PAPER = "https://arxiv.org/abs/2306.13554"
+CITATION = """@inproceedings{patacchiola2023comparing,
+  title     = {Comparing the Efficacy of Fine-Tuning and Meta-Learning for Few-Shot Policy Imitation},
+  author    = {Patacchiola, Massimiliano and Sun, Mingfei and Hofmann, Katja and Turner, Richard E.},
+  booktitle = {Conference on Lifelong Learning Agents},
+  year      = {2023},
+  note      = {The original iMuJoCo; data at https://zenodo.org/records/7971395}
+}"""
+
+_SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"))
+_LARGER_SIZES = ((10**7, "1M<n<10M"), (10**8, "10M<n<100M"), (10**9, "100M<n<1B"))
+_TAGS = ("minari", "gymnasium", "mujoco", "imitation-learning", "offline-reinforcement-learning", "imujoco")
+
+
+def front_matter(title: str, steps: int, tags: Sequence[str] = ()) -> str:
+    """Return the YAML block at the head of a card.
+
+    Args:
+        title: the name that a page shows.
+        steps: number of steps, by which the Hub sorts datasets into sizes.
+        tags: beside those that all datasets of this package have.
+    """
+    lines = ["---", "license: apache-2.0", f"pretty_name: {json.dumps(title)}"]
+    # The Hub would take HDF5 for a table and show an error where the card should be.
+    lines += ["viewer: false", "size_categories:", f"- {size_category(steps)}"]
+    lines += ["task_categories:", "- reinforcement-learning", "- robotics", "tags:"]
+    lines += [f"- {json.dumps(tag)}" for tag in dict.fromkeys((*_TAGS, *tags))]
+    return "\n".join([*lines, "---", ""])
+
+
+def size_category(rows: int) -> str:
+    """Return the Hub's name for datasets of so many rows."""
+    for limit, name in (*_SIZES, *_LARGER_SIZES):
+        if rows < limit:
+            return name
+    return "n>1B"
+
+
+def dataset_card(data: Path, remote: str) -> str:
+    """Return the card of the dataset in the folder ``data``, as it is shown at ``remote``."""
+    metadata = json.loads((data / "metadata.json").read_text("utf-8"))
+    dataset_id = metadata["dataset_id"]
+    with h5py.File(data / MAIN_FILE, "r") as file:
+        episodes = [file[name].attrs for name in file]
+        returns = np.array([float(attrs["rewards_sum"]) for attrs in episodes])
+        lengths = np.array([int(attrs["total_steps"]) for attrs in episodes])
+    tags = [str(metadata[key]) for key in ("robot", "category", "tier") if metadata.get(key)]
+    parts = [
+        front_matter(dataset_id, int(metadata["total_steps"]), tags),
+        f"# {dataset_id}\n\n{metadata.get('description', '')}\n",
+        *_change(dataset_id),
+        "## Numbers\n\n" + _table(("", ""), _numbers(metadata, returns, lengths)),
+        "## How it is loaded\n\n" + _loading(dataset_id, remote),
+        "## How it was made\n\n" + _making(metadata),
+        _origin(),
+    ]
+    return "\n".join(parts)
+
+
+def namespace_card(namespace: str, remote: str, datasets: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return the card of a namespace: a table of the datasets that the remote lists.
+
+    Args:
+        namespace: its name, ``imujoco``.
+        remote: address of the remote.
+        datasets: id -> metadata of its datasets.
+    """
+    steps = sum(int(metadata.get("total_steps", 0)) for metadata in datasets.values())
+    rows = [
+        (
+            f"`{dataset_id}`",
+            str(metadata.get("total_episodes", "")),
+            f"{int(metadata.get('total_steps', 0)):,}",
+            str(metadata.get("algorithm_name", "")),
+        )
+        for dataset_id, metadata in sorted(datasets.items())
+    ]
+    example = sorted(datasets)[0] if datasets else f"{namespace}/hopper-base-v0"
+    return "\n".join(
+        [
+            front_matter(f"iMuJoCo, rebuilt ({namespace})", steps),
+            f"# {namespace}\n\nDatasets of Hopper, HalfCheetah and Walker2d, each with one physical "
+            "parameter changed, in [Minari](https://minari.farama.org)'s format. They rebuild iMuJoCo: the "
+            "environments, policies and episodes are new ones, made with the Python package "
+            "`imujoco-minari`.\n",
+            "## How they are loaded\n\n" + _loading(example, remote),
+            f"## The datasets\n\n{len(datasets)} datasets, {steps:,} steps.\n\n"
+            + _table(("dataset", "episodes", "steps", "policy"), rows),
+            _origin(),
+        ]
+    )
+
+
+def _change(dataset_id: str) -> list[str]:
+    try:
+        variant, _ = parse_dataset_id(dataset_id)
+    except VariantError:
+        return []
+    rows = [(d.quantity, f"{d.before:.6g}", f"{d.after:.6g}", d.unit) for d in differences(variant)]
+    if not rows:
+        return []
+    return ["## What is changed\n\n" + _table(("quantity", str(variant.base), str(variant), "unit"), rows)]
+
+
+def _numbers(metadata: Mapping[str, Any], returns: Any, lengths: Any) -> list[tuple[str, str]]:
+    rows = [
+        ("episodes", f"{len(returns)}"),
+        ("steps", f"{lengths.sum():,}"),
+        (
+            "return",
+            f"{returns.mean():.1f} ± {returns.std():.1f} ({returns.min():.1f} to {returns.max():.1f})",
+        ),
+        ("episode length", f"{lengths.mean():.0f} steps ({lengths.min()} to {lengths.max()})"),
+        ("policy", str(metadata.get("algorithm_name", "unknown"))),
+    ]
+    if "policy_deterministic" in metadata:
+        rows.append(("actions", "the policy's mode" if metadata["policy_deterministic"] else "sampled"))
+    for key, name in (
+        ("ref_min_score", "return of a random policy"),
+        ("ref_max_score", "return of the expert"),
+    ):
+        if isinstance(metadata.get(key), int | float):
+            rows.append((name, f"{metadata[key]:.1f}"))
+    if metadata.get("combined_datasets"):
+        rows.append(("made of", f"{len(metadata['combined_datasets'])} datasets"))
+    return rows
+
+
+def _loading(dataset_id: str, remote: str) -> str:
+    return (
+        f'```console\n$ pip install "minari[hdf5,{"hf" if remote.startswith("hf:") else "gcs"}]"\n'
+        f"$ export MINARI_REMOTE={remote}\n```\n\n"
+        f'```python\nimport minari\n\ndataset = minari.load_dataset("{dataset_id}", download=True)\n```\n\n'
+        "With `imujoco-minari` installed, `dataset.recover_environment()` gives the environment behind it,\n"
+        f"and `imujoco pull {dataset_id} --remote {remote}` checks every digest of what it downloads.\n"
+    )
+
+
+def _making(metadata: Mapping[str, Any]) -> str:
+    rows = [("package", str(metadata.get("code_permalink", "unknown")))]
+    for name, number in sorted(metadata.get("versions", {}).items()):
+        rows.append((f"version of {name}", str(number)))
+    named = ("machine", "seed", "policy_sha256", "mjcf_sha256", "content_sha256")
+    rows += [(key.replace("_", " "), f"`{metadata[key]}`") for key in named if key in metadata]
+    command = _command(metadata)
+    said = f"```console\n$ {command}\n```\n\n" if command else ""
+    return (
+        said
+        + _table(("", ""), rows)
+        + (
+            "Every episode is reset with its own recorded seed, so that seeds and actions replay the whole "
+            "dataset: `imujoco verify` does, and compares every bit.\n"
+        )
+    )
+
+
+def _command(metadata: Mapping[str, Any]) -> str:
+    """Return the command that makes the dataset again; empty when no command alone does."""
+    try:
+        variant, tier = parse_dataset_id(str(metadata["dataset_id"]))
+    except VariantError:
+        sources = metadata.get("combined_datasets")
+        return f"imujoco combine {' '.join(sources)} --id {metadata['dataset_id']}" if sources else ""
+    if tier not in (EXPERT, "random"):
+        return ""
+    return _publish_command(variant, tier, metadata)
+
+
+def _publish_command(variant: Variant, tier: str, metadata: Mapping[str, Any]) -> str:
+    command = (
+        f"imujoco publish {variant} --episodes {metadata['total_episodes']} --seed {metadata.get('seed', 0)}"
+    )
+    if tier != EXPERT:
+        command += f" --tier {tier}"
+    elif not metadata.get("policy_deterministic", True):
+        command += " --stochastic"
+    return command
+
+
+def _origin() -> str:
+    return (
+        "## Where it comes from\n\n"
+        f"The idea, the variants' names and their counts are iMuJoCo's ([paper]({PAPER}), "
+        f"[data]({ORIGINAL})); these episodes are not from its archive. Please cite the original:\n\n"
+        f"```bibtex\n{CITATION}\n```\n"
+    )
+
+
+def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
+    return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows), ""]) + "\n"

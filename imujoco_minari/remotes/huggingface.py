@@ -1,0 +1,132 @@
+"""``hf://user``: a namespace is a dataset repository of a Hugging Face user or organisation.
+
+Minari lists the ids that the repository's ``namespace_metadata.json`` registers. Stock Minari uploads a
+dataset and then registers it, through a copy in the local cache that an interruption leaves wrong. Here
+files, card and registration are one commit on a known parent: a push happens as a whole or not at all.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from huggingface_hub import CommitOperationAdd, get_token
+from huggingface_hub.errors import EntryNotFoundError, HfHubHTTPError, RepositoryNotFoundError
+from minari.storage.remotes.huggingface import HuggingFaceStorage
+
+from imujoco_minari.errors import RemoteError
+from imujoco_minari.remotes.stores import CARD, FILES, namespace_file, parse_object
+from imujoco_minari.roots import NAMESPACE_FILE, dataset_folder
+
+_ATTEMPTS = 5
+_CONFLICTS = (409, 412)
+
+
+class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
+    """Minari's Hugging Face remote, writing in single commits and reading past the local cache."""
+
+    shows_cards = True
+
+    @classmethod
+    def connect(cls, name: str, token: str | None, writing: bool) -> HubStore:
+        """Return the remote of the user or organisation ``name``.
+
+        Raises:
+            RemoteError: when something is to be written and there is no token.
+        """
+        token = token or get_token()
+        if token is None and writing:
+            raise RemoteError(
+                f"hf://{name}: no token: log in with `hf auth login`, set HF_TOKEN, or give one with --token"
+            )
+        return cls(name, token)
+
+    def read(self, path: str) -> bytes | None:
+        """Return the content of a file at the head of its repository, or None when there is none."""
+        repository, name = self._decompose_path(path)
+        return self._read(repository, name, None)
+
+    def registered(self, namespace: str, dataset_id: str) -> bool:
+        """Return whether the repository's namespace metadata names the dataset."""
+        data = self.read(namespace_file(namespace))
+        return data is not None and dataset_id in parse_object(data, namespace_file(namespace)).get(
+            "datasets", []
+        )
+
+    def upload_dataset(self, dataset_id: str, card: str | None = None) -> None:
+        """Upload a dataset's files and card and register its id, in one commit."""
+        repository, folder = self._decompose_path(dataset_id)
+        files: dict[str, Any] = {f"{folder}/{name}": dataset_folder(dataset_id) / name for name in FILES}
+        if card is not None:
+            files[f"{folder}/{CARD}"] = card.encode()
+        self._api.create_repo(self._repo_id(repository), repo_type="dataset", exist_ok=True)
+        for attempt in range(_ATTEMPTS):
+            head = self._api.repo_info(self._repo_id(repository), repo_type="dataset").sha
+            try:
+                registry = self._registry_with(repository, dataset_id, head)
+                self._commit(repository, files | {NAMESPACE_FILE: registry}, f"Add {dataset_id}", head)
+                return
+            except HfHubHTTPError as error:
+                # Another push came between; what it registered is read and kept in the next attempt.
+                if error.response.status_code not in _CONFLICTS or attempt == _ATTEMPTS - 1:
+                    raise
+
+    def upload_card(self, namespace: str, card: str) -> None:
+        """Replace the README that the Hub shows on the page of the namespace's repository."""
+        repository, folder = self._decompose_path(namespace)
+        name = f"{folder}/{CARD}" if folder else CARD
+        self._commit(repository, {name: card.encode()}, "Describe the datasets", None)
+
+    def download_dataset(self, dataset_id: str, path: Path) -> None:
+        """Download the files of a dataset by their names, all of one commit."""
+        repository, folder = self._decompose_path(dataset_id)
+        head = self._api.repo_info(self._repo_id(repository), repo_type="dataset").sha
+        for name in FILES:
+            try:
+                self._api.hf_hub_download(
+                    repo_id=self._repo_id(repository),
+                    filename=f"{folder}/{name}",
+                    repo_type="dataset",
+                    revision=head,
+                    local_dir=path / repository,
+                )
+            except EntryNotFoundError:
+                raise RemoteError(f"hf://{self.name}: {dataset_id} has no {name}") from None
+
+    def _read(self, repository: str, name: str, revision: str | None) -> bytes | None:
+        # Into a folder of its own: what stock Minari left in the cache is not what the remote holds.
+        with tempfile.TemporaryDirectory() as folder:
+            try:
+                file = self._api.hf_hub_download(
+                    repo_id=self._repo_id(repository),
+                    filename=name,
+                    repo_type="dataset",
+                    revision=revision,
+                    local_dir=folder,
+                )
+            except (EntryNotFoundError, RepositoryNotFoundError):
+                return None
+            return Path(file).read_bytes()
+
+    def _registry_with(self, repository: str, dataset_id: str, head: str) -> bytes:
+        data = self._read(repository, NAMESPACE_FILE, head)
+        registry = {} if data is None else parse_object(data, namespace_file(repository))
+        registry["datasets"] = sorted({*registry.get("datasets", []), dataset_id})
+        return json.dumps(registry).encode()
+
+    def _commit(self, repository: str, files: dict[str, Any], message: str, parent: str | None) -> None:
+        self._api.create_commit(
+            repo_id=self._repo_id(repository),
+            repo_type="dataset",
+            operations=[
+                CommitOperationAdd(name, content if isinstance(content, bytes) else str(content))
+                for name, content in files.items()
+            ],
+            commit_message=message,
+            parent_commit=parent,
+        )
+
+    def _repo_id(self, repository: str) -> str:
+        return f"{self.name}/{repository}"

@@ -1,0 +1,190 @@
+"""From a remote into the Minari root: download into staging, check, commit.
+
+What comes from elsewhere is not trusted: nothing is visible before its digests were checked, only the
+files of a dataset are fetched, and a link or an environment that is not of this package is refused.
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from os import path as paths
+from pathlib import Path
+from typing import Any
+
+import h5py
+
+from imujoco_minari import content, roots
+from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError
+from imujoco_minari.remotes.stores import METADATA_FILE, Store, connect, explained, metadata
+from imujoco_minari.verification import Finding, inspect
+
+
+@dataclass(frozen=True)
+class Pulled:
+    """What became of one dataset.
+
+    Attributes:
+        dataset_id: the dataset's id.
+        remote: address of the remote.
+        path: its folder; None when it failed.
+        downloaded: whether this call fetched it; False when it was in the root already.
+        content_sha256: digest of its arrays; empty for a linked collection, which has none of its own.
+        same_simulator: whether the simulator here is the one that made it, so that a replay is exact.
+        seconds: wall time.
+        error: why it failed; empty when it did not.
+    """
+
+    dataset_id: str
+    remote: str
+    path: Path | None = None
+    downloaded: bool = False
+    content_sha256: str = ""
+    same_simulator: bool = True
+    seconds: float = 0.0
+    error: str = ""
+
+
+def pull(dataset_id: str, remote: str, *, token: str | None = None, force: bool = False) -> list[Pulled]:
+    """Download a dataset from a remote, and before it the datasets that it is made of.
+
+    Args:
+        dataset_id: a dataset that this package published, or a collection of such.
+        remote: ``hf://user`` or ``gcp://bucket``.
+        token: a Hugging Face token, or the path of a service account's key file; public data needs none.
+        force: replace a dataset of the root that has the id.
+
+    Returns:
+        What was downloaded or was there already, the dataset itself last.
+
+    Raises:
+        DatasetNotFoundError: when the remote lists no such dataset.
+        DatasetError: when what was downloaded is not whole and sound; nothing has changed then.
+        RemoteError: when the remote cannot be reached or refuses.
+    """
+    return list(_pull(connect(remote, token=token), dataset_id, remote, force, set()))
+
+
+def pull_all(
+    dataset_ids: Sequence[str], remote: str, *, token: str | None = None, force: bool = False
+) -> Iterator[Pulled]:
+    """Download many datasets and yield each outcome as it comes, failures included.
+
+    Raises:
+        RemoteError: when the remote's address or token is of no use.
+    """
+    store = connect(remote, token=token)
+    done: set[str] = set()
+    for dataset_id in dict.fromkeys(dataset_ids):
+        try:
+            yield from _pull(store, dataset_id, remote, force, done)
+        except ImujocoError as error:
+            yield Pulled(dataset_id, remote, error=str(error))
+
+
+def _pull(store: Store, dataset_id: str, remote: str, force: bool, done: set[str]) -> Iterator[Pulled]:
+    """Pull a dataset and what it is made of; ``done`` keeps what was pulled, and cycles from turning."""
+    if dataset_id in done:
+        return
+    done.add(dataset_id)
+    if roots.exists(dataset_id) and not force:
+        yield Pulled(dataset_id, remote, roots.dataset_folder(dataset_id))
+        return
+    with explained(remote):
+        stated = metadata(store, dataset_id)
+    if stated is None:
+        raise DatasetNotFoundError(f"{remote} lists no {dataset_id}; see `minari list remote`")
+    sources = [str(source) for source in stated.get("combined_datasets", [])]
+    for source in sources:
+        yield from _pull(store, source, remote, force, done)
+    yield _download(store, dataset_id, remote, force, sources)
+
+
+def _download(store: Store, dataset_id: str, remote: str, force: bool, sources: Sequence[str]) -> Pulled:
+    start = time.monotonic()
+    with roots.staging(dataset_id) as folder:
+        with explained(remote):
+            store.download_dataset(dataset_id, folder)
+        staged = folder / dataset_id
+        for source in sources:
+            # A linked collection refers to its sources by where they lie beside it.
+            place = folder / source
+            place.parent.mkdir(parents=True, exist_ok=True)
+            place.symlink_to(roots.dataset_folder(source).resolve())
+        stated = _read_metadata(staged)
+        same = _same_simulator(stated)
+        findings = [*_strangers(staged, stated, dataset_id, sources), *_findings(staged, same)]
+        if findings:
+            raise DatasetError(f"{dataset_id} from {remote}: not kept, its check found: {findings[0]}")
+        target = roots.commit(staged, dataset_id, replace=force)
+    digest = str(stated.get("content_sha256", ""))
+    return Pulled(dataset_id, remote, target, True, digest, same, time.monotonic() - start)
+
+
+def _read_metadata(staged: Path) -> dict[str, Any]:
+    try:
+        value = json.loads((staged / METADATA_FILE).read_text("utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return value if isinstance(value, dict) else {}
+
+
+def _same_simulator(stated: dict[str, Any]) -> bool:
+    """Return whether a dataset was made by the MuJoCo and Gymnasium, and on the architecture, of here."""
+    if "versions" not in stated:
+        return True
+    ours = {name: version(name) for name in ("mujoco", "gymnasium")}
+    theirs = stated["versions"]
+    return (
+        isinstance(theirs, dict)
+        and stated.get("machine") == platform.machine()
+        and ours.items() <= theirs.items()
+    )
+
+
+def _findings(staged: Path, same_simulator: bool) -> list[Finding]:
+    if same_simulator:
+        return inspect(staged / "data", replay_episodes=1)
+    # Another simulator may write the model otherwise and step it otherwise; its digest still stands.
+    findings = inspect(staged / "data", replay_episodes=0)
+    return [finding for finding in findings if finding.where != "@mjcf" or "digest" in finding.what]
+
+
+def _strangers(
+    staged: Path, stated: dict[str, Any], dataset_id: str, sources: Sequence[str]
+) -> Iterator[Finding]:
+    """Find what a dataset of this package never holds, before anything follows it."""
+    if stated.get("dataset_id") != dataset_id:
+        yield Finding("metadata.json/dataset_id", f"is {stated.get('dataset_id')!r}, not {dataset_id!r}")
+    entry_point = _entry_point(stated)
+    if not entry_point.startswith("imujoco_minari."):
+        # recover_environment() imports and calls whatever stands here.
+        yield Finding(
+            "metadata.json/env_spec", f"has the entry point {entry_point[:80]!r}, which is not ours"
+        )
+    beside = staged.parents[dataset_id.count("/")]
+    allowed = {paths.normpath(content.main_file(beside / source / "data")) for source in sources}
+    for name, target in _links(content.main_file(staged / "data")):
+        if paths.normpath(staged / "data" / target) not in allowed:
+            yield Finding(name, f"is a link to {target[:80]!r}, which is none of its sources")
+
+
+def _entry_point(stated: dict[str, Any]) -> str:
+    try:
+        return str(json.loads(stated["env_spec"])["entry_point"])
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return ""
+
+
+def _links(file: Path) -> list[tuple[str, str]]:
+    """Return the names and target files of the external links in an HDF5 file, following none."""
+    try:
+        with h5py.File(file, "r") as opened:
+            links = [(name, opened.get(name, getlink=True)) for name in opened]
+    except Exception:  # h5py raises anything at all on a damaged file; the check that follows says so
+        return []
+    return [(name, str(link.filename)) for name, link in links if isinstance(link, h5py.ExternalLink)]
