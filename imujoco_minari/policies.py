@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -193,44 +194,65 @@ def load_policy(
     if tier == "random":
         return RandomPolicy(SIZES[variant.robot][1])
     if tier == EXPERT:
-        return shipped_actor(variant, deterministic=not stochastic)
+        return expert_actor(variant, deterministic=not stochastic)
     raise PolicyNotFoundError(
         f"no policy makes the tier {tier!r}; valid: {EXPERT}, random, or any name with --policy FILE"
     )
 
 
-def shipped_actor(variant: Variant, *, deterministic: bool = True) -> Actor:
-    """Return the expert actor that the package ships for ``variant``.
+def expert_actor(variant: Variant, *, deterministic: bool = True) -> Actor:
+    """Return the expert actor of ``variant``: the user's own, else the one that the package ships.
 
     Raises:
-        PolicyNotFoundError: when none is shipped.
+        PolicyNotFoundError: when there is neither.
     """
-    weights, record = _weights_folder() / f"{variant}.safetensors", shipped_record(variant)
-    if not weights.is_file() or not record:
+    record = expert_record(variant)
+    if not record:
         raise PolicyNotFoundError(
-            f"no expert policy is shipped for {variant}: train one with `imujoco train {variant}`, "
-            f"or give one with --policy FILE; {len(shipped_variants())} are shipped, see `imujoco policies`"
+            f"there is no expert policy for {variant}: train one with `imujoco train {variant}`, "
+            f"or give one with --policy FILE; {len(expert_variants())} are there, see `imujoco policies`"
         )
-    return _actor_of(
-        weights.read_bytes(), f"{variant}.safetensors", record["algorithm"], deterministic, record
-    )
+    path = _find(f"{variant}.safetensors", None)
+    if path is None:
+        raise PolicyNotFoundError(f"the record of {variant} is there, but not its weights")
+    return _actor_of(path.read_bytes(), path.name, record["algorithm"], deterministic, record)
 
 
-def shipped_record(variant: Variant) -> Mapping[str, Any]:
-    """Return the training record that is shipped for ``variant``; empty when there is none."""
-    path = _weights_folder() / f"{variant}.json"
-    if not path.is_file():
+def expert_record(variant: Variant, folder: Path | None = None) -> Mapping[str, Any]:
+    """Return the training record of a variant's expert; empty when there is none.
+
+    Args:
+        variant: whose expert.
+        folder: look there and in the package; None looks in the user's policies and in the package.
+
+    Raises:
+        PolicyError: when the record cannot be read.
+    """
+    path = _find(f"{variant}.json", folder)
+    if path is None:
         return {}
-    record: Mapping[str, Any] = json.loads(path.read_text("utf-8"))
+    try:
+        record: Mapping[str, Any] = json.loads(path.read_text("utf-8"))
+    except ValueError as error:
+        raise PolicyError(f"{path}: not a training record: {error}") from None
     return record
 
 
-def shipped_variants() -> tuple[Variant, ...]:
-    """Return the variants whose expert policies are shipped, sorted."""
-    names = (item.name for item in _weights_folder().iterdir())
-    return tuple(
-        sorted(Variant.parse(name.removesuffix(".json")) for name in names if name.endswith(".json"))
-    )
+def expert_variants() -> tuple[Variant, ...]:
+    """Return the variants that have an expert policy, the user's or shipped, sorted."""
+    names = {path.name for place in _places(None) if place.is_dir() for path in place.glob("*-*.json")}
+    return tuple(sorted(Variant.parse(name.removesuffix(".json")) for name in names))
+
+
+def expert_agent(variant: Variant, folder: Path | None = None) -> Path | None:
+    """Return the file of the whole agent that variants of a base start from, or None."""
+    return _find(f"{variant}.agent.safetensors", folder)
+
+
+def policies_folder() -> Path:
+    """Return the folder of the user's own policies: ``$IMUJOCO_HOME/policies``, or ``~/.imujoco/policies``."""
+    home = os.environ.get("IMUJOCO_HOME")
+    return (Path(home) if home else Path.home() / ".imujoco") / "policies"
 
 
 def read_actor(path: Path, *, deterministic: bool = True) -> Actor:
@@ -378,8 +400,13 @@ def _check_layer(weights: Mapping[str, Array], name: str, width: int | None) -> 
     return int(weight.shape[0])
 
 
-def _weights_folder() -> Any:
-    return resources.files("imujoco_minari") / "weights"
+def _places(folder: Path | None) -> tuple[Path, Path]:
+    """Return where policies are looked for, first choice first."""
+    return (policies_folder() if folder is None else folder), Path(str(resources.files("imujoco_minari") / "weights"))
+
+
+def _find(name: str, folder: Path | None) -> Path | None:
+    return next((place / name for place in _places(folder) if (place / name).is_file()), None)
 
 
 def _first_line(error: Exception) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import Any
 
-from imujoco_minari.policies import SIZES, RandomPolicy, shipped_record
+from imujoco_minari.policies import SIZES, RandomPolicy, expert_record
 from imujoco_minari.registration import make
 from imujoco_minari.rollouts import Evaluation, evaluate
 from imujoco_minari.variants import Variant
@@ -22,7 +22,7 @@ def reference_scores(variant: Variant) -> dict[str, Any]:
     With them come the evaluations behind them. A variant without a record has its random policy
     measured here, which takes seconds.
     """
-    record = shipped_record(variant)
+    record = expert_record(variant)
     random = record.get("random") or random_evaluation(variant).asdict()
     scores: dict[str, Any] = {
         "ref_min_score": random["return_mean"],

@@ -14,3 +14,11 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(path))
     monkeypatch.delenv("MINARI_REMOTE", raising=False)
     return path
+
+
+@pytest.fixture(autouse=True)
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The test's own folder for policies and training, instead of the user's."""
+    path = tmp_path / "imujoco"
+    monkeypatch.setenv("IMUJOCO_HOME", str(path))
+    return path

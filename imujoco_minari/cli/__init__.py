@@ -6,8 +6,8 @@ Exit codes: 0 done, 1 failed, 2 asked for something that does not exist, 130 int
 
 from __future__ import annotations
 
+# Each import adds its module's commands to the application, in the order that the help shows.
+from imujoco_minari.cli import catalogue, datasets, remote, render, training
 from imujoco_minari.cli.app import app, main
-from imujoco_minari.cli.catalogue import list_variants, show
-from imujoco_minari.cli.datasets import combine, publish_datasets, verify_datasets
 
-__all__ = ["app", "combine", "list_variants", "main", "publish_datasets", "show", "verify_datasets"]
+__all__ = ["app", "catalogue", "datasets", "main", "remote", "render", "training"]

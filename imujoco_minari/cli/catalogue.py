@@ -8,7 +8,7 @@ import typer
 
 from imujoco_minari import roots
 from imujoco_minari.cli.app import AsJson, Category, Robot, app, out, print_json, print_table
-from imujoco_minari.policies import shipped_record, shipped_variants
+from imujoco_minari.policies import expert_record, expert_variants
 from imujoco_minari.variants import Variant, bases, catalogue
 
 
@@ -21,7 +21,7 @@ def list_variants(robot: Robot = None, category: Category = None, as_json: AsJso
     chosen = catalogue(robot, category)
     if category is None:
         chosen = tuple(base for base in bases() if robot in (None, base.robot)) + chosen
-    experts = set(shipped_variants())
+    experts = set(expert_variants())
     rows = [
         {
             "variant": str(variant),
@@ -57,7 +57,7 @@ def show(variant: Annotated[str, typer.Argument(help="A variant id.")], as_json:
 
     parsed = Variant.parse(variant)
     changed = differences(parsed)
-    record = shipped_record(parsed)
+    record = expert_record(parsed)
     if as_json:
         print_json(
             {

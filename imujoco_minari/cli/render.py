@@ -1,0 +1,109 @@
+"""``imujoco render``: a variant, or a recorded episode of a dataset, as a video or a picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from imujoco_minari.cli.app import AsJson, app, out, print_json, progress, say
+from imujoco_minari.errors import RenderingError
+from imujoco_minari.variants import EXPERT, Variant
+
+if TYPE_CHECKING:
+    from imujoco_minari.rendering import Motion
+
+Seconds = Annotated[float | None, typer.Option("--seconds", min=0.1, help="Show this much, not all.")]
+
+
+@app.command()
+def render(
+    what: Annotated[str, typer.Argument(metavar="VARIANT|DATASET_ID", help="A variant id, or a dataset id.")],
+    episode: Annotated[
+        int,
+        typer.Option("--episode", "-e", min=0, help="Which episode of a dataset; of a variant, its seed."),
+    ] = 0,
+    target: Annotated[Path | None, typer.Option("--out", "-o", help="A .mp4, .gif or .png file.")] = None,
+    beside_base: Annotated[
+        bool, typer.Option("--beside-base", help="Show the base robot beside it.")
+    ] = False,
+    sheet: Annotated[bool, typer.Option("--sheet", help="Make a .png sheet of frames.")] = False,
+    tier: Annotated[str, typer.Option("--tier", "-t", help="Which policy moves a variant.")] = EXPERT,
+    policy: Annotated[
+        Path | None, typer.Option("--policy", help="A Stable-Baselines3 .zip or .safetensors.")
+    ] = None,
+    seconds: Seconds = None,
+    size: Annotated[str, typer.Option("--size", help="Pixels of a robot's picture.")] = "640x480",
+    as_json: AsJson = False,
+) -> None:
+    """Render a variant moved by its policy, or a recorded episode of a dataset, replayed exactly.
+
+    Needs no screen. What the variant changes is coloured: mass orange, joint blue, length green,
+    friction purple. A .png without --sheet shows the middle of the episode.
+
+    Examples: `imujoco render hopper-lengthinc_50_leggeom --beside-base --tier random`,
+    `imujoco render imujoco/hopper-massdec_25_leggeom-v0 --episode 3 --out episode.mp4`
+    """
+    from imujoco_minari.rendering import frame_steps, render_motions
+    from imujoco_minari.rendering.files import check_format
+
+    width, height = _size(size)
+    if target is None:
+        name = what.rpartition("/")[2] + ("" if "/" not in what else f"-episode{episode}")
+        target = Path(f"{name}.{'png' if sheet else 'mp4'}")
+    if check_format(target) != ".png" and sheet:
+        raise RenderingError(f"a sheet is one picture: give --out a .png, not {str(target)!r}")
+    motions = _motions(what, episode, tier, policy, beside_base, seconds)
+    for motion in motions:
+        if motion.divergence > 0:
+            say(
+                f"{motion.variant}: the replay differs from the recording by up to {motion.divergence:.3g}: "
+                "another version of MuJoCo made it (see `imujoco verify`)"
+            )
+    count = len(frame_steps(motions, target, sheet=sheet))
+    with progress(str(target), count, quiet=as_json) as advance:
+        render_motions(motions, target, (width, height), sheet=sheet, on_frame=advance)
+    if as_json:
+        print_json({"path": str(target), "frames": count, "motions": [_facts(motion) for motion in motions]})
+        return
+    for motion in motions:
+        facts = _facts(motion)
+        out.print(
+            f"{motion.variant}: {motion.title}, {facts['steps']} steps, {motion.duration:.1f} s, "
+            f"return {motion.total:.1f}"
+        )
+    out.print(f"wrote {target}: {count} frames, {target.stat().st_size / 1000:.0f} kB")
+
+
+def _motions(
+    what: str, episode: int, tier: str, policy: Path | None, beside_base: bool, seconds: float | None
+) -> list[Motion]:
+    from imujoco_minari.rendering.source import of_dataset, of_variant
+
+    if "/" in what:
+        return of_dataset(what, episode, beside_base=beside_base, seconds=seconds)
+    return of_variant(
+        Variant.parse(what), tier, policy, seed=episode, beside_base=beside_base, seconds=seconds
+    )
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, _, height = text.partition("x")
+    if not (width.isdecimal() and height.isdecimal()):
+        raise RenderingError(f"malformed size {text!r}; valid: WIDTHxHEIGHT in pixels, as in 640x480")
+    if not (64 <= int(width) <= 4096 and 64 <= int(height) <= 4096):
+        raise RenderingError(f"size {text} cannot be drawn; valid: 64 to 4096 pixels each way")
+    return int(width), int(height)
+
+
+def _facts(motion: Motion) -> dict[str, object]:
+    return {
+        "variant": str(motion.variant),
+        "moved_by": motion.title,
+        "steps": len(motion.rewards),
+        "seconds": motion.duration,
+        "return": motion.total,
+        "terminated": motion.terminated,
+        "divergence": motion.divergence,
+    }

@@ -1,0 +1,150 @@
+"""``imujoco train`` and ``imujoco policies``: experts made, and listed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from imujoco_minari.cli.app import AsJson, Category, Robot, app, fail, out, print_json, print_table, progress, say
+from imujoco_minari.cli.datasets import Jobs, select
+from imujoco_minari.policies import expert_record, expert_variants, policies_folder
+from imujoco_minari.variants import Variant
+
+if TYPE_CHECKING:
+    from imujoco_minari.training.run import Progress
+    from imujoco_minari.training.sweep import Plan, Trained
+
+policy = typer.Typer(help="Take a policy elsewhere.", no_args_is_help=True)
+app.add_typer(policy, name="policy")
+
+
+@app.command("train")
+def train_variants(
+    variants: Annotated[list[str] | None, typer.Argument(help="Variant ids, of the catalogue or not.")] = None,
+    robot: Robot = None,
+    category: Category = None,
+    everything: Annotated[bool, typer.Option("--all", help="The three bases and all 154 variants.")] = False,
+    scratch: Annotated[bool, typer.Option("--scratch", help="Do not start from the base robot's agent.")] = False,
+    max_steps: Annotated[int | None, typer.Option("--max-steps", min=1, help="Environment steps at most.")] = None,
+    target: Annotated[float | None, typer.Option("--target", help="Return to stop at.")] = None,
+    seed: Annotated[int, typer.Option("--seed", "-s", min=0, help="Seed of all that is random.")] = 0,
+    jobs: Jobs = 1,
+    nice: Annotated[int, typer.Option("--nice", min=0, max=19, help="Lower the priority by this much.")] = 0,
+    state: Annotated[Path | None, typer.Option("--state", help="Folder of unfinished runs.")] = None,
+    output: Annotated[Path | None, typer.Option("--output", help="Folder for finished policies.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Train an expert for each variant, from its base robot's agent; bases from scratch.
+
+    A killed run goes on where it was, a finished one is never trained again, and a variant that fails
+    is named at the end.
+
+    Examples: `imujoco train hopper-massinc_37_torsogeom`, `imujoco train --robot hopper --jobs 2 --nice 10`
+    """
+    import os
+
+    from imujoco_minari.training.sweep import Plan, default_state, train_all
+
+    chosen = select(variants or [], robot, category, everything)
+    changes: dict[str, Any] = {} if max_steps is None else {"max_steps": max_steps}
+    plan = Plan(state or default_state(), output, scratch, seed, target, changes, nice)
+    if len(chosen) == 1:
+        os.nice(nice)
+        outcomes = [_train_one(chosen[0], plan, as_json)]
+    else:
+        outcomes = []
+        with progress("training", len(chosen), quiet=as_json) as advance:
+            for outcome in train_all(chosen, plan, jobs=jobs):
+                outcomes.append(outcome)
+                _report(outcome, as_json)
+                advance()
+    if as_json:
+        print_json([vars(outcome) for outcome in outcomes])
+    failures = [outcome for outcome in outcomes if outcome.error]
+    for outcome in failures:
+        fail(f"{outcome.variant}: {outcome.error}")
+    if failures:
+        raise typer.Exit(1)
+
+
+def _train_one(variant: Variant, plan: Plan, quiet: bool) -> Trained:
+    from imujoco_minari.training.sweep import train
+
+    def tell(state: Progress) -> None:
+        last = state.evaluations[-1] if state.evaluations else None
+        if quiet or last is None or last["steps"] != state.steps:
+            return
+        say(
+            f"{state.steps:>9,} steps  return {last['return_mean']:8.1f} ± {last['return_std']:6.1f}"
+            f"  best {state.best_score:8.1f}  {state.wall_seconds / 60:6.1f} min"
+        )
+
+    outcome = train(variant, plan, tell)
+    _report(outcome, quiet)
+    return outcome
+
+
+def _report(outcome: Trained, quiet: bool) -> None:
+    if quiet or outcome.error:
+        return
+    if not outcome.created:
+        out.print(f"left alone {outcome.variant}: its expert is there already")
+        return
+    evaluation = outcome.record["evaluation"]
+    out.print(
+        f"trained {outcome.variant}: return {evaluation['return_mean']:.1f} ± {evaluation['return_std']:.1f} over "
+        f"{evaluation['episodes']} episodes, after {outcome.record['steps']:,} steps from {outcome.record['start']}, "
+        f"{outcome.record['wall_seconds'] / 60:.1f} min"
+    )
+
+
+@app.command()
+def policies(robot: Robot = None, category: Category = None, as_json: AsJson = False) -> None:
+    """Tabulate the expert policies that are there, the user's and the shipped.
+
+    Example: `imujoco policies --robot hopper`
+    """
+    chosen = [v for v in expert_variants() if robot in (None, v.robot) and category in (None, v.category)]
+    records = [dict(expert_record(variant)) for variant in chosen]
+    if as_json:
+        print_json(records)
+        return
+    columns = ("variant", "algorithm", "start", "steps", "return", "std", "min", "of base", "length")
+    rows = [_row(variant, record) for variant, record in zip(chosen, records, strict=True)]
+    print_table(columns, rows, numeric=columns[3:])
+    out.print(f"\n{len(rows)} policies; your own lie in {policies_folder()}")
+
+
+@policy.command()
+def export(
+    variant: Annotated[str, typer.Argument(help="A variant id.")],
+    path: Annotated[Path, typer.Argument(help="The .zip to write.")],
+) -> None:
+    """Write a variant's expert as a zip that stable_baselines3.SAC.load opens.
+
+    Example: `imujoco policy export hopper-massdec_25_leggeom expert.zip`
+    """
+    from imujoco_minari.sb3_export import export_zip
+
+    written = export_zip(Variant.parse(variant), path)
+    out.print(f"wrote {written}: `stable_baselines3.SAC.load({str(written)!r})` opens it")
+
+
+def _row(variant: Variant, record: dict[str, Any]) -> list[str]:
+    evaluation = record["evaluation"]
+    base = expert_record(variant.base).get("evaluation", {}).get("return_mean")
+    share = f"{evaluation['return_mean'] / base:.2f}" if base else "-"
+    numbers = [f"{evaluation[key]:.0f}" for key in ("return_mean", "return_std", "return_min")]
+    return [
+        str(variant),
+        record["algorithm"],
+        record["start"],
+        f"{record['steps']:,}",
+        *numbers,
+        share,
+        f"{evaluation['length_mean']:.0f}",
+    ]
+
+

@@ -1,0 +1,79 @@
+"""Hyperparameters as data: ``hyperparameters.toml``, with the reason for each, layered by robot and start."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import asdict, dataclass, fields
+from functools import cache
+from importlib import resources
+from typing import Any
+
+from imujoco_minari.errors import CatalogueError
+
+SCRATCH, WARM = "scratch", "warm"
+
+
+@dataclass(frozen=True)
+class Hyperparameters:
+    """What decides a training run, beside variant, start and seed.
+
+    Attributes:
+        algorithm: the name that records and datasets state.
+        top_quantiles_to_drop_per_net: of TQC's 25 quantiles a critic.
+        steps_per_call: environment steps between two calls of the update loop.
+        updates_per_call: gradient steps in each call.
+        batch_size: transitions an update.
+        learning_rate: of actor, critics and entropy coefficient.
+        gamma: discount factor.
+        tau: rate at which target critics follow.
+        exploration_steps: steps before the first update, random or of the loaded policy.
+        evaluate_every: steps between two evaluations, which are also the checkpoints.
+        max_steps: where a run ends that has not reached its target.
+        ranking_episodes: episodes of each evaluation.
+        choosing_episodes: episodes of a second look at evaluations that rank high.
+        confirming_episodes: episodes of the final evaluation, on seeds of its own.
+    """
+
+    algorithm: str
+    top_quantiles_to_drop_per_net: int
+    steps_per_call: int
+    updates_per_call: int
+    batch_size: int
+    learning_rate: float
+    gamma: float
+    tau: float
+    exploration_steps: int
+    evaluate_every: int
+    max_steps: int
+    ranking_episodes: int
+    choosing_episodes: int
+    confirming_episodes: int
+
+    def asdict(self) -> dict[str, Any]:
+        """Return the fields as a dict for JSON."""
+        return asdict(self)
+
+
+def hyperparameters(robot: str, start: str, **changes: Any) -> Hyperparameters:
+    """Return the hyperparameters for ``robot`` and ``start`` (``scratch`` or ``warm``), with ``changes``.
+
+    Raises:
+        CatalogueError: when a key is unknown.
+    """
+    table = _table()
+    own = table.get(robot, {})
+    layers = (table["all"], table[start], own, own.get(start, {}), changes)
+    values = {
+        key: value for layer in layers for key, value in layer.items() if key not in (SCRATCH, WARM)
+    }
+    known = {field.name for field in fields(Hyperparameters)}
+    unknown = sorted(set(values) - known)
+    if unknown:
+        raise CatalogueError(f"unknown hyperparameter {unknown[0]!r}; valid: {', '.join(sorted(known))}")
+    return Hyperparameters(**values)
+
+
+@cache
+def _table() -> dict[str, Any]:
+    text = (resources.files("imujoco_minari.training") / "hyperparameters.toml").read_text("utf-8")
+    return tomllib.loads(text)

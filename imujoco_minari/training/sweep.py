@@ -1,0 +1,179 @@
+"""Many variants, one after another or side by side: resumed where it was, never a finished one again.
+
+The state folder holds one folder a variant. A variant is finished when its policy and record lie in
+the policies folder; a lock in its state folder keeps two sweeps from training it at once.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from joblib import Parallel, delayed
+
+from imujoco_minari.errors import ImujocoError, PolicyNotFoundError, TrainingError
+from imujoco_minari.policies import expert_record, policies_folder, expert_agent
+from imujoco_minari.training.agents import load_arrays, save_arrays
+from imujoco_minari.training.hyperparameters import SCRATCH, WARM, hyperparameters
+from imujoco_minari.training.run import Run, Task, write_json
+from imujoco_minari.variants import BASE, Variant
+
+# A variant's run ends when its actor is as good as this share of the base expert's return.
+TARGET_SHARE = 0.98
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How a sweep trains, whatever the variant.
+
+    Attributes:
+        state: the folder that holds the unfinished runs.
+        policies: where finished policies go; None for the user's own folder.
+        scratch: train from scratch, also variants.
+        seed: of all that is random.
+        target: return (mean less deviation) to stop at; None for a share of the base expert's.
+        changes: hyperparameters that differ from the file's.
+        nice: lower the priority of the process by this much.
+    """
+
+    state: Path
+    policies: Path | None = None
+    scratch: bool = False
+    seed: int = 0
+    target: float | None = None
+    changes: dict[str, Any] = field(default_factory=dict)
+    nice: int = 0
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What became of one variant: its record, whether it was made now, or why it failed."""
+
+    variant: Variant
+    record: dict[str, Any] = field(default_factory=dict)
+    created: bool = False
+    error: str = ""
+
+
+def train(variant: Variant, plan: Plan, on_interval: Any = None) -> Trained:
+    """Train one variant, or take up its training where it was, and put its policy in place.
+
+    Args:
+        variant: any variant of the grammar.
+        plan: how.
+        on_interval: called with the run's progress after every evaluation.
+
+    Raises:
+        ImujocoError: when the base agent to start from is not there, or another process is at it.
+    """
+    done = expert_record(variant, plan.policies)
+    if done:
+        return Trained(variant, dict(done))
+    folder = plan.state / str(variant)
+    with _locked(folder):
+        run = Run(_task(variant, plan), folder)
+        try:
+            record = run.train(on_interval)
+        finally:
+            run.close()
+        install(folder, record, plan.policies)
+    return Trained(variant, record, created=True)
+
+
+def train_all(variants: Sequence[Variant], plan: Plan, *, jobs: int = 1, backend: str | None = None) -> Iterator[Trained]:
+    """Train many variants and yield each outcome as it comes, failures included.
+
+    Bases come first, since the others start from them.
+    """
+    for group in _in_order(variants, plan):
+        if jobs == 1 or len(group) == 1:
+            yield from (_attempt(variant, plan) for variant in group)
+        else:
+            pool = Parallel(n_jobs=jobs, backend=backend, return_as="generator_unordered", batch_size=1)
+            yield from pool(delayed(_attempt)(variant, plan) for variant in group)
+
+
+def install(folder: Path, record: dict[str, Any], policies: Path | None) -> None:
+    """Put the policy of a finished run, and its ladder if it is a base, where policies are looked for."""
+    target = policies_folder() if policies is None else policies
+    target.mkdir(parents=True, exist_ok=True)
+    name = record["variant"]
+    if Variant.parse(name).category == BASE:
+        save_arrays(target / f"{name}.agent.safetensors", load_arrays(folder / "best-agent.safetensors"))
+    save_arrays(target / f"{name}.safetensors", load_arrays(folder / "best.safetensors"))
+    # The record comes last: it says that the policy is there.
+    write_json(target / f"{name}.json", record)
+
+
+def _attempt(variant: Variant, plan: Plan) -> Trained:
+    if plan.nice:
+        os.nice(plan.nice)
+    try:
+        return train(variant, plan)
+    except ImujocoError as error:
+        return Trained(variant, error=str(error))
+
+
+def _task(variant: Variant, plan: Plan) -> Task:
+    if plan.scratch or variant.category == BASE:
+        settings = hyperparameters(variant.robot, SCRATCH, **plan.changes)
+        return Task(variant, settings, plan.seed, target=float("inf") if plan.target is None else plan.target)
+    settings = hyperparameters(variant.robot, WARM, **plan.changes)
+    record = expert_record(variant.base, plan.policies)
+    agent = expert_agent(variant.base, plan.policies)
+    if not record or agent is None:
+        raise PolicyNotFoundError(
+            f"{variant} starts from the agent of {variant.base}, which is not there: "
+            f"`imujoco train {variant.base}` first, or train with --scratch"
+        )
+    evaluation = record["evaluation"]
+    target = TARGET_SHARE * (evaluation["return_mean"] - evaluation["return_std"])
+    return Task(
+        variant,
+        settings,
+        plan.seed,
+        start=str(variant.base),
+        agent=load_arrays(agent),
+        target=target if plan.target is None else plan.target,
+    )
+
+
+def _in_order(variants: Sequence[Variant], plan: Plan) -> Iterator[list[Variant]]:
+    first = [variant for variant in variants if variant.category == BASE]
+    rest = [variant for variant in variants if variant.category != BASE]
+    if not plan.scratch:
+        needed = dict.fromkeys(variant.base for variant in rest)
+        first += [base for base in needed if base not in first and not expert_record(base, plan.policies)]
+    yield from (group for group in (first, rest) if group)
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Hold a run's state folder, and remove it when the run is through."""
+    folder.mkdir(parents=True, exist_ok=True)
+    handle = os.open(folder / "lock", os.O_CREAT | os.O_RDWR)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise TrainingError(f"{folder.name} is being trained by another process, in {folder}") from None
+        yield
+    finally:
+        os.close(handle)
+
+
+def discard(variant: Variant, state: Path) -> None:
+    """Forget the unfinished training of a variant."""
+    with suppress(FileNotFoundError):
+        shutil.rmtree(state / str(variant))
+
+
+def default_state() -> Path:
+    """Return where unfinished runs lie unless told otherwise: beside the user's policies."""
+    return policies_folder().parent / "training"
