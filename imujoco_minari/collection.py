@@ -6,28 +6,47 @@ is :mod:`imujoco_minari.publishing`'s.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import warnings
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 from minari import DataCollector
+from minari.data_collector import EpisodeBuffer
 
 from imujoco_minari.policies import Policy
+from imujoco_minari.recording import EpisodeStorage
 from imujoco_minari.registration import make
 from imujoco_minari.rollouts import episode_seed, roll_out
 from imujoco_minari.variants import Variant
 
 
-class FolderCollector(DataCollector):
+class FolderCollector(DataCollector):  # type: ignore[misc]
     """A ``minari.DataCollector`` that records into one folder and leaves it there.
 
-    The stock collector takes its place from the process-wide ``MINARI_DATASETS_PATH`` and, in
+    It records what the stock collector does, array for array, of environments whose observations and
+    actions are plain arrays, with less work a step: the stock one asks at every step whether observation
+    and action lie in their spaces, and rebuilds its buffer through ``jax``, 30 us beside the 25 us of a
+    HalfCheetah's physics. Here the spaces are asked once an episode. Infos are not recorded.
+
+    The stock collector also takes its place from the process-wide ``MINARI_DATASETS_PATH`` and, in
     ``create_dataset``, moves files one by one into a dataset that is already visible.
+
+    Args:
+        env: what is stepped.
+        folder: where the storage is made.
+        attributes: what every episode carries beside Minari's own attributes.
     """
 
-    def __init__(self, env: gym.Env[Any, Any], folder: Path) -> None:
+    def __init__(
+        self, env: gym.Env[Any, Any], folder: Path, attributes: Mapping[str, Any] | None = None
+    ) -> None:
         self._folder = str(folder)
+        self._attributes = dict(attributes or {})
+        self._buffer: EpisodeBuffer | None
+        self._storage: EpisodeStorage
         super().__init__(env)
 
     @property
@@ -39,13 +58,76 @@ class FolderCollector(DataCollector):
     def datasets_path(self, value: str) -> None:
         """Ignore the process-wide root that the stock constructor assigns."""
 
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Step the environment and record the transition."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        buffer = self._buffer
+        assert buffer is not None, "reset() comes before step()"
+        buffer.observations.append(observation)
+        buffer.actions.append(action)
+        buffer.rewards.append(reward)
+        buffer.terminations.append(terminated)
+        buffer.truncations.append(truncated)
+        if terminated or truncated:
+            self._flush_to_storage()
+            self._buffer = EpisodeBuffer(self._episode_id, observations=[observation], actions=[])
+        return observation, reward, terminated, truncated, info
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode; one that was not at its end is stored as truncated."""
+        observation, info = super().reset(seed=seed, options=options)
+        assert self._buffer is not None
+        seed = self._buffer.seed
+        self._buffer = EpisodeBuffer(self._episode_id, seed, options, observations=[observation], actions=[])
+        return observation, info
+
     def keep(self, target: Path) -> None:
         """Close the environment and move ``main_data.hdf5`` and ``metadata.json`` to ``target``."""
         self._flush_to_storage()
-        self.env.close()
+        self._storage.flush()
         Path(self._storage.data_path).rename(target)
-        # The stock close() would fail on the folder that has moved.
+        self.close()
+
+    def close(self) -> None:
+        """Close the environment and remove what was not kept."""
+        self._buffer = None
+        self._storage.flush()
+        self.env.close()
         self._tmp_dir.cleanup()
+
+    def _reset_storage(self) -> None:
+        if hasattr(self, "_tmp_dir"):
+            self._tmp_dir.cleanup()
+        super()._reset_storage()
+        self._storage = EpisodeStorage(
+            self._storage.data_path, self._storage.observation_space, self._storage.action_space
+        )
+        self._storage.attributes = self._attributes
+
+    def _flush_to_storage(self) -> None:
+        if self._buffer is not None and len(self._buffer):
+            _warn_outside(self._storage.observation_space, self._buffer.observations[1:], "Observation")
+            _warn_outside(self._storage.action_space, self._buffer.actions, "Action")
+        super()._flush_to_storage()
+
+
+def _warn_outside(space: gym.Space[Any], rows: list[Any], name: str) -> None:
+    """Warn, as the stock collector does, of every row that its space does not contain."""
+    if isinstance(space, gym.spaces.Box) and space.dtype is not None:
+        stacked = np.asarray(rows)
+        if (
+            stacked.shape[1:] == space.shape
+            and np.can_cast(stacked.dtype, space.dtype)
+            and ((stacked >= space.low) & (stacked <= space.high)).all()
+        ):
+            return
+    for row in rows:
+        if not space.contains(row):
+            warnings.warn(
+                f"{name} is not in {name.lower()} space.\n{name}: {row}\nSpace: {space}", stacklevel=2
+            )
 
 
 def collect(
@@ -54,6 +136,7 @@ def collect(
     episodes: Iterable[int],
     seed: int,
     target: Path,
+    attributes: Mapping[str, Any] | None = None,
     on_episode: Callable[[], None] | None = None,
 ) -> None:
     """Record the numbered ``episodes`` of a dataset as a Minari storage in the new folder ``target``.
@@ -64,9 +147,10 @@ def collect(
         episodes: numbers of the episodes within the dataset; each is seeded by its own.
         seed: base seed of the dataset.
         target: the storage's folder; its parent exists.
+        attributes: what every episode carries beside Minari's own attributes.
         on_episode: called after each episode.
     """
-    collector = FolderCollector(make(variant), target.parent)
+    collector = FolderCollector(make(variant), target.parent, attributes)
     for episode in episodes:
         roll_out(collector, policy, episode_seed(seed, episode))
         if on_episode is not None:

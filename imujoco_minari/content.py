@@ -1,13 +1,15 @@
 """What a dataset's HDF5 file holds beyond stock Minari, and the digests of its arrays.
 
-Every array carries its own SHA-256; a dataset's ``content_sha256`` is the digest of those, in the
-order of the episodes. So a changed bit is pinned to an array, and combining reads no array twice.
+Every array carries its own SHA-256, every episode the digest of those, and a dataset's
+``content_sha256`` is the digest of the episodes' in their order. So a changed bit is pinned to an array,
+and combining reads one attribute an episode, and no array.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+import json
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,7 @@ from imujoco_minari.variants import Variant
 MAIN_FILE = "main_data.hdf5"
 ARRAYS = ("observations", "actions", "rewards", "terminations", "truncations")
 DIGEST = "sha256"
+FILE_DIGEST, METADATA_DIGEST = "file_sha256", "metadata_sha256"
 # False on imported episodes: they have no seed that would replay them.
 REPLAYABLE = "replayable"
 
@@ -53,23 +56,54 @@ def arrays(group: h5py.Group, prefix: str = "") -> Iterator[tuple[str, h5py.Data
             yield f"{prefix}{name}", item
 
 
+def episode_sha256(digests: Mapping[str, str]) -> str:
+    """Return the digest of an episode from its arrays' names and digests."""
+    return hashlib.sha256(
+        "".join(f"{name} {digests[name]}\n" for name in sorted(digests)).encode()
+    ).hexdigest()
+
+
 def seal_episode(group: h5py.Group) -> None:
-    """Store with every array of an episode group its digest."""
-    for _, array in arrays(group):
-        array.attrs[DIGEST] = array_sha256(array[()])
+    """Store with every array of an episode group its digest, and with the group the digest of those."""
+    digests = {name: array_sha256(array[()]) for name, array in arrays(group)}
+    for name, digest in digests.items():
+        group[name].attrs[DIGEST] = digest
+    group.attrs[DIGEST] = episode_sha256(digests)
 
 
 def content_sha256(file: h5py.File, episodes: int) -> str:
-    """Return the digest of a dataset: of the stored digests of its arrays, episode by episode.
+    """Return the digest of a dataset, which is that of its episodes' stored digests, in order.
 
     Raises:
-        KeyError: when an episode is missing or an array was not sealed.
+        KeyError: when an episode is missing or was not sealed.
     """
-    digest = hashlib.sha256()
-    for episode in range(episodes):
-        for name, array in arrays(file[f"episode_{episode}"]):
-            digest.update(f"{episode}/{name} {array.attrs[DIGEST]}\n".encode())
-    return digest.hexdigest()
+    return dataset_sha256(str(file[f"episode_{episode}"].attrs[DIGEST]) for episode in range(episodes))
+
+
+def dataset_sha256(digests: Iterable[str]) -> str:
+    """Return the digest of a dataset from its episodes' digests, in order."""
+    return hashlib.sha256("".join(f"{digest}\n" for digest in digests).encode()).hexdigest()
+
+
+def seal_files(data: Path) -> None:
+    """Write into ``metadata.json`` the digests of both files, as the last act before a dataset is committed."""
+    path = data / "metadata.json"
+    metadata = json.loads(path.read_text("utf-8"))
+    metadata[FILE_DIGEST] = file_sha256(main_file(data))
+    metadata[METADATA_DIGEST] = metadata_sha256(metadata)
+    path.write_text(json.dumps(metadata), "utf-8")
+
+
+def file_sha256(path: Path) -> str:
+    """Return the digest of a file's bytes."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def metadata_sha256(metadata: Mapping[str, Any]) -> str:
+    """Return the digest of what ``metadata.json`` says, its own digest excepted, however it is laid out."""
+    said = {key: value for key, value in metadata.items() if key != METADATA_DIGEST}
+    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
 
 
 def main_file(data_path: Path | str) -> Path:

@@ -65,6 +65,11 @@ class Recipe:
         """The id under which the dataset is published."""
         return self.variant.dataset_id(self.tier)
 
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """What the dataset's root and each of its episodes carry."""
+        return content.attributes(self.variant, self.tier)
+
     def load_policy(self) -> Policy:
         """Return the policy that the recipe names."""
         return load_policy(self.variant, tier=self.tier, path=self.policy, stochastic=self.stochastic)
@@ -129,21 +134,14 @@ def publish(
         return _summary(recipe.dataset_id, created=False)
     start = time.monotonic()
     policy = recipe.load_policy()
-    with roots.staging() as folder:
+    with roots.staging(recipe.dataset_id) as folder:
         staged = folder / "dataset"
         staged.mkdir()
         data = staged / "data"
         _roll_out(recipe, policy, data, jobs, on_episode)
         _complete(recipe, policy, data)
-        findings = inspect(data, replay_episodes=1)
-        if findings:
-            raise DatasetError(f"{recipe.dataset_id}: not published, its check found: {findings[0]}")
-        try:
-            roots.commit(staged, recipe.dataset_id, replace=force)
-        except DatasetExistsError:
-            # Another publisher of this id was faster, and its dataset is whole too.
-            return _summary(recipe.dataset_id, created=False)
-    return _summary(recipe.dataset_id, created=True, seconds=time.monotonic() - start)
+        created = _commit(staged, recipe.dataset_id, force)
+    return _summary(recipe.dataset_id, created=created, seconds=time.monotonic() - start)
 
 
 @dataclass(frozen=True)
@@ -177,26 +175,35 @@ def publish_episodes(
     if roots.exists(dataset_id) and not force:
         return _summary(dataset_id, created=False)
     start = time.monotonic()
-    with roots.staging() as folder:
+    with roots.staging(dataset_id) as folder:
         staged = folder / "dataset"
         data = staged / "data"
         data.mkdir(parents=True)
         storage = MinariStorage.new(data, env_spec=external.env_spec)
         storage.update_episodes(episodes)
-        sealed = _seal(storage, external.attributes, external.mjcf)
+        _seal_episodes(storage, external.attributes)
         storage.update_metadata(
-            sealed
+            _seal(storage, external.attributes, external.mjcf)
             | {"dataset_id": dataset_id, "minari_version": version("minari")}
             | {**external.metadata, "dataset_size": storage.get_size()}
         )
-        findings = inspect(data, replay_episodes=1)
-        if findings:
-            raise DatasetError(f"{dataset_id}: not published, its check found: {findings[0]}")
-        try:
-            roots.commit(staged, dataset_id, replace=force)
-        except DatasetExistsError:
-            return _summary(dataset_id, created=False)
-    return _summary(dataset_id, created=True, seconds=time.monotonic() - start)
+        created = _commit(staged, dataset_id, force)
+    return _summary(dataset_id, created=created, seconds=time.monotonic() - start)
+
+
+def _commit(staged: Path, dataset_id: str, force: bool) -> bool:
+    """Seal, check and commit a staged dataset; return False when another publisher of the id was faster."""
+    content.seal_files(staged / "data")
+    findings = inspect(staged / "data", replay_episodes=1)
+    if findings:
+        raise DatasetError(f"{dataset_id}: not published, its check found: {findings[0]}")
+    try:
+        roots.commit(staged, dataset_id, replace=force)
+    except DatasetExistsError:
+        if force:
+            raise
+        return False
+    return True
 
 
 def publish_all(
@@ -232,12 +239,14 @@ def _roll_out(recipe: Recipe, policy: Policy, data: Path, jobs: int, on_episode:
     """Record the recipe's episodes in ``data``, with several jobs in shares that are joined in order."""
     shares = np.array_split(np.arange(recipe.episodes), min(jobs * 4, recipe.episodes) if jobs > 1 else 1)
     if len(shares) == 1:
-        collect(recipe.variant, policy, range(recipe.episodes), recipe.seed, data, on_episode)
+        collect(
+            recipe.variant, policy, range(recipe.episodes), recipe.seed, data, recipe.attributes, on_episode
+        )
         return
     parts = [data.with_name(f"share-{number}") for number in range(len(shares))]
     pool = Parallel(n_jobs=jobs, return_as="generator", batch_size=1)
     finished = pool(
-        delayed(collect)(recipe.variant, policy, share.tolist(), recipe.seed, part)
+        delayed(collect)(recipe.variant, policy, share.tolist(), recipe.seed, part, recipe.attributes)
         for share, part in zip(shares, parts, strict=True)
     )
     for share, _ in zip(shares, finished, strict=True):
@@ -272,12 +281,10 @@ def _remove(part: Path) -> None:
 
 
 def _complete(recipe: Recipe, policy: Policy, data: Path) -> None:
-    """Add what the collector did not record: attributes, digests, metadata."""
+    """Add what the collector did not record: the root's attributes and digests, and the metadata."""
     storage = MinariStorage.read(data)
-    attributes = content.attributes(recipe.variant, recipe.tier)
-    sealed = _seal(storage, attributes, canonical_mjcf(recipe.variant))
     storage.update_metadata(
-        sealed
+        _seal(storage, recipe.attributes, canonical_mjcf(recipe.variant))
         | reference_scores(recipe.variant)
         | {
             "dataset_id": recipe.dataset_id,
@@ -300,19 +307,24 @@ def _complete(recipe: Recipe, policy: Policy, data: Path) -> None:
 
 
 def _seal(storage: MinariStorage, attributes: Mapping[str, Any], mjcf: str) -> dict[str, Any]:
-    """Write attributes and digests into the HDF5 file; return them as the metadata repeats them."""
-    storage.update_episode_metadata(storage.apply(EpisodeMetadataCallback()))
+    """Write attributes and digests to the HDF5 file's root; return them as the metadata repeats them."""
     with h5py.File(content.main_file(storage.data_path), "a") as file:
-        for episode in range(len(file)):
-            group = file[f"episode_{episode}"]
-            group.attrs.update(attributes)
-            content.seal_episode(group)
         digests = {
             "mjcf_sha256": mjcf_sha256(mjcf),
             "content_sha256": content.content_sha256(file, len(file)),
         }
         file.attrs.update({**attributes, "mjcf": mjcf, **digests})
     return {**attributes, **digests}
+
+
+def _seal_episodes(storage: MinariStorage, attributes: Mapping[str, Any]) -> None:
+    """Write attributes and digests to episodes that were not recorded by :func:`collect`."""
+    storage.update_episode_metadata(storage.apply(EpisodeMetadataCallback()))
+    with h5py.File(content.main_file(storage.data_path), "a") as file:
+        for episode in range(len(file)):
+            group = file[f"episode_{episode}"]
+            group.attrs.update(attributes)
+            content.seal_episode(group)
 
 
 def _description(recipe: Recipe, policy: Policy) -> str:

@@ -1,0 +1,162 @@
+"""What the quick collector records is what the stock one records, array for array."""
+
+from __future__ import annotations
+
+import gc
+import warnings
+
+import gymnasium as gym
+import h5py
+import minari
+import numpy as np
+import pytest
+from minari.dataset.minari_storage import MinariStorage
+
+from imujoco_minari import content
+from imujoco_minari.collection import FolderCollector, collect
+from imujoco_minari.policies import SIZES, RandomPolicy
+from imujoco_minari.recording import EpisodeStorage
+from imujoco_minari.registration import make
+from imujoco_minari.rollouts import episode_seed, roll_out
+from imujoco_minari.variants import Variant
+
+ROBOTS = ("hopper", "halfcheetah", "walker2d")
+
+
+@pytest.fixture
+def stock_warnings():
+    # The stock collector imports jax, which warns of its own deprecations, and leaves its folders to the
+    # garbage collector, which warns of them; create_dataset() warns of each word of metadata not given.
+    with warnings.catch_warnings():
+        for category in (DeprecationWarning, ResourceWarning, UserWarning):
+            warnings.simplefilter("ignore", category)
+        yield
+        gc.collect()
+
+
+def stored(data):
+    """Return the episodes of a storage as attributes and arrays, as h5py reads them."""
+    with h5py.File(content.main_file(data), "r") as file:
+        return {
+            name: (dict(group.attrs), {key: array[()] for key, array in content.arrays(group)})
+            for name, group in file.items()
+        }
+
+
+def assert_same_but_digests(ours, stock):
+    assert list(ours) == list(stock)
+    for name in stock:
+        attributes, arrays = ours[name]
+        assert attributes.pop(content.DIGEST) == content.episode_sha256(
+            {key: content.array_sha256(array) for key, array in arrays.items()}
+        )
+        assert attributes == stock[name][0]
+        assert {key: type(value) for key, value in attributes.items()} == {
+            key: type(value) for key, value in stock[name][0].items()
+        }
+        assert set(arrays) == set(stock[name][1])
+        for key, array in stock[name][1].items():
+            assert arrays[key].dtype == array.dtype
+            assert arrays[key].shape == array.shape
+            assert arrays[key].tobytes() == array.tobytes()
+
+
+def short(robot, steps=40):
+    return gym.wrappers.TimeLimit(make(f"{robot}-base").unwrapped, steps)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_records_what_the_stock_collector_records(robot, tmp_path, stock_warnings):
+    policy = RandomPolicy(SIZES[robot][1])
+    collector = FolderCollector(short(robot), tmp_path)
+    for episode in range(3):
+        roll_out(collector, policy, episode_seed(5, episode))
+    collector.keep(tmp_path / "ours")
+
+    stock = minari.DataCollector(short(robot))
+    for episode in range(3):
+        roll_out(stock, policy, episode_seed(5, episode))
+    dataset = stock.create_dataset("test/stock-v0")
+
+    assert_same_but_digests(stored(tmp_path / "ours"), stored(dataset.storage.data_path))
+    ours = MinariStorage.read(tmp_path / "ours").metadata
+    theirs = dataset.storage.metadata
+    assert {key: ours[key] for key in ours if key != "dataset_size"} == {
+        key: theirs[key] for key in ours if key != "dataset_size"
+    }
+
+
+def test_an_interrupted_episode_and_options_are_stored_as_the_stock_collector_does(tmp_path, stock_warnings):
+    def record(collector):
+        actions = np.random.default_rng(0)
+        collector.reset(seed=3, options={"a": {"b": 1}, "c": 2.5})
+        for _ in range(5):
+            collector.step(actions.uniform(-1, 1, 6).astype(np.float32))
+        collector.reset(seed=2**63 + 1)
+        # Two steps beyond the time limit belong to an episode of their own, without a seed.
+        for _ in range(42):
+            collector.step(actions.uniform(-1, 1, 6).astype(np.float32))
+
+    ours = FolderCollector(short("halfcheetah"), tmp_path)
+    record(ours)
+    ours.keep(tmp_path / "ours")
+    stock = minari.DataCollector(short("halfcheetah"))
+    record(stock)
+    dataset = stock.create_dataset("test/stock-v0")
+    assert_same_but_digests(stored(tmp_path / "ours"), stored(dataset.storage.data_path))
+
+
+def test_the_stock_ways_of_making_a_dataset_still_work(tmp_path, stock_warnings):
+    collector = FolderCollector(short("hopper"), tmp_path)
+    roll_out(collector, RandomPolicy(3), 1)
+    dataset = collector.create_dataset("test/mine-v0")
+    assert dataset.total_episodes == 1
+    assert dataset[0].rewards.sum() == next(dataset.storage.get_episode_metadata([0]))["rewards_sum"]
+    roll_out(collector, RandomPolicy(3), 2)
+    collector.add_to_dataset(dataset)
+    assert minari.load_dataset("test/mine-v0").total_episodes == 2
+    collector.close()
+
+
+def test_warns_of_what_lies_outside_its_space_as_the_stock_collector_does(tmp_path, stock_warnings):
+    def record(collector):
+        collector.reset(seed=0)
+        for scale in (0.5, 2.0, 0.5, -3.0):
+            collector.step(np.full(6, scale, np.float32))
+
+    def messages(collector, finish):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            record(collector)
+            finish()
+        return [str(warning.message) for warning in caught if "space" in str(warning.message)]
+
+    ours = FolderCollector(short("halfcheetah"), tmp_path)
+    stock = minari.DataCollector(short("halfcheetah"))
+    expected = messages(stock, stock._flush_to_storage)
+    assert len(expected) == 2
+    assert messages(ours, ours._flush_to_storage) == expected
+    ours.close()
+    stock.close()
+
+
+def test_episodes_do_not_depend_on_what_was_recorded_before(tmp_path):
+    variant, policy = Variant.parse("hopper-base"), RandomPolicy(3)
+    collect(variant, policy, range(4), 7, tmp_path / "all", {"tier": "random"})
+    collect(variant, policy, [2], 7, tmp_path / "one", {"tier": "random"})
+    attributes, arrays = stored(tmp_path / "one")["episode_0"]
+    same_attributes, same_arrays = stored(tmp_path / "all")["episode_2"]
+    assert attributes | {"id": 2} == same_attributes
+    assert attributes["tier"] == "random"
+    assert all(arrays[key].tobytes() == same_arrays[key].tobytes() for key in same_arrays)
+
+
+def test_a_storage_counts_what_it_has_not_yet_written(tmp_path):
+    collector = FolderCollector(short("hopper"), tmp_path)
+    assert isinstance(collector._storage, EpisodeStorage)
+    _, length = roll_out(collector, RandomPolicy(3), 1)
+    assert collector._storage.total_episodes == 1
+    assert collector._storage.total_steps == length
+    _, more = roll_out(collector, RandomPolicy(3), 2)
+    assert collector._storage.total_steps == length + more
+    collector.close()
