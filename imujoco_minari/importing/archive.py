@@ -1,0 +1,145 @@
+"""The original's archive on disk: which variants are in it, and where the three files of each are.
+
+Its three parts, ``xml``, ``policies`` and ``dataset``, are found as folders or as the zips that were
+published, in any mix, in the folder given or in its ``imujoco``. From a zip one file at a time is unpacked.
+"""
+
+from __future__ import annotations
+
+import shutil
+import stat
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from imujoco_minari.errors import DatasetError, DatasetNotFoundError, StorageError, VariantError
+from imujoco_minari.importing.foreign_mjcf import MAX_BYTES, canonical_foreign_mjcf
+from imujoco_minari.importing.original import OriginalVariant
+from imujoco_minari.importing.safe_unpack import open_zip, unpack
+
+# Part -> prefix and suffix of its files around the variant's id.
+_PARTS = {"xml": ("", ".xml"), "policies": ("sac-", ".zip"), "dataset": ("sac-", ".npz")}
+
+
+@dataclass(frozen=True)
+class Member:
+    """One file of the archive: a file on disk, or the entry ``entry`` of the zip at ``path``."""
+
+    path: Path
+    entry: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.path}/{self.entry}" if self.entry else str(self.path)
+
+    @contextmanager
+    def on_disk(self) -> Iterator[Path]:
+        """Yield the file's path; an entry of a zip is unpacked for as long as the context lasts."""
+        if not self.entry:
+            if not stat.S_ISREG(self.path.lstat().st_mode):
+                raise DatasetError(f"{self.path}: refused, for it is a link or another special file")
+            yield self.path
+            return
+        with tempfile.TemporaryDirectory(prefix="imujoco-") as folder:
+            target = Path(folder) / self.entry.rpartition("/")[2]
+            with open_zip(self.path) as archive:
+                size = archive.getinfo(self.entry).file_size
+                if size > shutil.disk_usage(folder).free:
+                    raise StorageError(
+                        f"{self}: needs {size} bytes in {folder}, which has not that many free"
+                    )
+                unpack(archive, self.entry, target)
+            yield target
+
+
+@dataclass(frozen=True)
+class Archive:
+    """What an archive holds.
+
+    Attributes:
+        place: the folder it was found in.
+        files: variant -> part (``xml``, ``policies``, ``dataset``) -> file.
+        ignored: names of files in its parts that name no variant.
+    """
+
+    place: Path
+    files: Mapping[OriginalVariant, Mapping[str, Member]]
+    ignored: tuple[str, ...]
+
+    @property
+    def variants(self) -> tuple[OriginalVariant, ...]:
+        """The variants of which the archive has at least one file, sorted."""
+        return tuple(sorted(self.files))
+
+    def member(self, variant: OriginalVariant, part: str) -> Member:
+        """Return a variant's file of a part.
+
+        Raises:
+            DatasetNotFoundError: when the archive has none.
+        """
+        found = self.files.get(variant, {}).get(part)
+        if found is None:
+            prefix, suffix = _PARTS[part]
+            raise DatasetNotFoundError(
+                f"{variant}: the archive at {self.place} has no {part}/{prefix}{variant}{suffix}"
+            )
+        return found
+
+    def mjcf(self, variant: OriginalVariant) -> tuple[str, str]:
+        """Return the text of a variant's model as it is in the archive, and its canonical text.
+
+        Raises:
+            DatasetNotFoundError: when the archive has no model of the variant.
+            ModelError: when the model is unsafe, does not compile, or is none of the robot.
+        """
+        member = self.member(variant, "xml")
+        with member.on_disk() as path, path.open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
+        text = data.decode("utf-8", errors="replace")
+        return text, canonical_foreign_mjcf(text, variant.robot, str(member))
+
+
+def open_archive(place: Path) -> Archive:
+    """Return what the archive in the folder ``place`` holds.
+
+    Raises:
+        DatasetNotFoundError: when there is no such folder, or none of the three parts is in it.
+        DatasetError: when a zip holds an entry that is refused.
+    """
+    if not place.is_dir():
+        raise DatasetNotFoundError(f"no folder at {place}")
+    files: dict[OriginalVariant, dict[str, Member]] = {}
+    ignored: list[str] = []
+    roots = [root for root in (place, place / "imujoco") if root.is_dir()]
+    parts = [(part, found) for part in _PARTS for root in roots if (found := _part(root, part)) is not None]
+    if not parts:
+        raise DatasetNotFoundError(
+            f"{place} holds no part of the archive; valid: the folders {', '.join(_PARTS)}, or their zips"
+        )
+    for part, members in parts:
+        prefix, suffix = _PARTS[part]
+        for member in members:
+            name = (member.entry or member.path.name).rpartition("/")[2]
+            if name.startswith("._") or name == ".DS_Store":
+                continue
+            try:
+                if not (name.startswith(prefix) and name.endswith(suffix)):
+                    raise VariantError(name)
+                variant = OriginalVariant.parse(name.removeprefix(prefix).removesuffix(suffix))
+            except VariantError:
+                ignored.append(f"{part}/{name}")
+                continue
+            files.setdefault(variant, {}).setdefault(part, member)
+    return Archive(place, files, tuple(sorted(ignored)))
+
+
+def _part(root: Path, part: str) -> list[Member] | None:
+    """Return the files of a part, from its folder or else its zip; None where there is neither."""
+    folder, zipped = root / part, root / f"{part}.zip"
+    if folder.is_dir():
+        return [Member(path) for path in sorted(folder.iterdir()) if not path.is_dir()]
+    if zipped.is_file():
+        with open_zip(zipped) as archive:
+            return [Member(zipped, info.filename) for info in archive.infolist() if not info.is_dir()]
+    return None

@@ -1,0 +1,108 @@
+"""One step of a robot from any of its observations, by today's simulator.
+
+An observation of these robots is their whole state but for the horizontal position, which nothing
+depends on, so a recorded step can be simulated again on its own. That checks imported data against the
+model they are said to come from, and stands in where a file lacks what follows its last step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any, cast
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.envs.registration import EnvSpec
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+# Velocities of Hopper and Walker2d are clipped to this in observations (m/s, rad/s).
+CLIPPED = 10.0
+
+
+@dataclass(frozen=True)
+class Fidelity:
+    """How far recorded steps are from the same steps simulated today.
+
+    Of each of ``rows`` steps the largest deviation of a position (m, rad) and of a velocity (m/s, rad/s)
+    counts; given are their median and maximum.
+    """
+
+    rows: int
+    position_median: float
+    position_max: float
+    velocity_median: float
+    velocity_max: float
+
+    def asdict(self) -> dict[str, Any]:
+        """Return the fields as a dict for JSON."""
+        return asdict(self)
+
+
+class Physics:
+    """The simulator of one variant, set to any observation of it. Close it, or use it as a context.
+
+    Args:
+        spec: the variant's environment.
+    """
+
+    def __init__(self, spec: EnvSpec) -> None:
+        self._env = gym.make(spec)
+        self._raw = cast(Any, self._env.unwrapped)
+        self.positions = self._raw.model.nq - 1
+        self.can_terminate = hasattr(self._raw, "is_healthy")
+        noise = self._raw._reset_noise_scale
+        # HalfCheetah's initial velocities are normal with that deviation, the others' are uniform.
+        spread = 1.01 if self.can_terminate else 6.0
+        self._reset_bounds = np.concatenate(
+            [np.full(self.positions, 1.01 * noise), np.full(self._raw.model.nv, spread * noise)]
+        )
+        self._rest = np.concatenate([self._raw.init_qpos[1:], self._raw.init_qvel])
+
+    def __enter__(self) -> Physics:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._env.close()
+
+    def step(self, observation: Array, action: Array) -> tuple[Array, float]:
+        """Return the observation and the reward that follow ``action`` in the state of ``observation``."""
+        self._set(observation)
+        after, reward, *_ = self._raw.step(action)
+        return np.asarray(after), float(reward)
+
+    def is_healthy(self, observation: Array) -> bool:
+        """Return whether an episode goes on in the state of ``observation``."""
+        self._set(observation)
+        return bool(getattr(self._raw, "is_healthy", True))
+
+    def looks_reset(self, observations: Array) -> Array:
+        """Return, for each of the observations ``(n, size)``, whether an episode could begin with it."""
+        return np.asarray((np.abs(observations - self._rest) <= self._reset_bounds).all(axis=1))
+
+    def fidelity(self, before: Array, actions: Array, after: Array) -> Fidelity:
+        """Compare recorded steps with the same steps simulated; clipped velocities are left out.
+
+        Args:
+            before: observations ``(n, size)``.
+            actions: what was done in them, ``(n, actions)``.
+            after: the observations that followed.
+        """
+        whole = (np.abs(before[:, self.positions :]) < CLIPPED).all(axis=1)
+        errors = [
+            np.abs(self.step(b, a)[0] - n)
+            for b, a, n in zip(before[whole], actions[whole], after[whole], strict=True)
+        ]
+        table = np.asarray(errors) if errors else np.full((1, before.shape[1]), np.nan)
+        position, velocity = table[:, : self.positions].max(axis=1), table[:, self.positions :].max(axis=1)
+        return Fidelity(
+            len(errors),
+            *(float(f(values)) for values in (position, velocity) for f in (np.median, np.max)),
+        )
+
+    def _set(self, observation: Array) -> None:
+        self._raw.data.qacc_warmstart[:] = 0.0
+        self._raw.set_state(
+            np.concatenate([[0.0], observation[: self.positions]]), observation[self.positions :]
+        )
