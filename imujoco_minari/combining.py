@@ -69,11 +69,12 @@ def combine_datasets(
         raise DatasetExistsError(f"{new_dataset_id} is already there, at {folder}; it was left alone")
     sources = [_source(dataset) for dataset in datasets_to_combine]
     _check(sources)
-    with roots.staging() as staging_folder:
+    with roots.staging(new_dataset_id) as staging_folder:
         staged = staging_folder / "dataset"
         staged.mkdir()
         attributes = _write(sources, staged / "data", folder / "data" if link else None)
         _describe(sources, staged / "data", new_dataset_id, attributes)
+        content.seal_files(staged / "data")
         roots.commit(staged, new_dataset_id, replace=force)
     return MinariDataset(folder / "data")
 

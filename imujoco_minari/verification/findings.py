@@ -1,0 +1,42 @@
+"""What a check reports, and how values that may be anything are compared and shown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+MAX_FINDINGS = 100
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong: where (an HDF5 path or a metadata key) and what."""
+
+    where: str
+    what: str
+
+    def __str__(self) -> str:
+        return f"{self.where}: {self.what}"
+
+
+def plain(value: Any) -> Any:
+    """Return an HDF5 attribute's value as a Python scalar where it is one."""
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def same(value: Any, expected: Any) -> bool:
+    """Return whether a value, which may be anything, is ``expected``, a scalar or None."""
+    value = plain(value)
+    if expected is None or value is None:
+        return value is expected
+    if isinstance(value, bool) != isinstance(expected, bool):
+        return False
+    return isinstance(value, str | int | float) and bool(value == expected)
+
+
+def shown(value: Any) -> str:
+    """Return ``value`` as a message quotes it, however long it is."""
+    text = repr(plain(value))
+    return text if len(text) <= 80 else text[:77] + "..."

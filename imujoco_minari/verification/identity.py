@@ -1,0 +1,175 @@
+"""Do metadata, root and episodes say the same of the dataset, and is it true?
+
+The environment that the metadata names must be one of ours: Minari imports and calls whatever stands
+there, at ``recover_environment()`` and, where a space is missing, at ``load_dataset()``.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import h5py
+
+from imujoco_minari import content
+from imujoco_minari.errors import ImujocoError
+from imujoco_minari.importing.original import CATALOGUE, OriginalVariant, variant_of
+from imujoco_minari.mjcf import canonical_mjcf, mjcf_sha256
+from imujoco_minari.policies import SIZES
+from imujoco_minari.registration import collection_spec, environment_spec
+from imujoco_minari.variants import Variant
+from imujoco_minari.verification.findings import Finding, plain, same, shown
+from imujoco_minari.verification.replay import simulator
+
+MAX_METADATA_BYTES = 2**24
+
+_ENTRY_POINTS = ("imujoco_minari.envs:", "imujoco_minari.importing.environments:")
+_SPACES = ("observation_space", "action_space")
+
+
+def read_metadata(data: Path) -> dict[str, Any]:
+    """Return what a dataset's ``metadata.json`` holds; empty when it is no JSON object of sane size."""
+    path = data / "metadata.json"
+    try:
+        if path.stat().st_size > MAX_METADATA_BYTES:
+            return {}
+        metadata = json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return metadata if isinstance(metadata, dict) else {}
+
+
+def loadable(metadata: dict[str, Any]) -> Iterator[Finding]:
+    """Report metadata with which stock Minari could not load the dataset, or would run what is not ours."""
+    if metadata.get("data_format") != "hdf5":
+        yield Finding("metadata.json/data_format", f"is {shown(metadata.get('data_format'))}, not 'hdf5'")
+    for key in ("dataset_id", "minari_version"):
+        if not isinstance(metadata.get(key), str):
+            yield Finding(f"metadata.json/{key}", f"is {shown(metadata.get(key))}, not a text")
+    for key, space in zip(_SPACES, map(metadata.get, _SPACES), strict=True):
+        if not _is_box(space):
+            yield Finding(
+                f"metadata.json/{key}",
+                "is no Box of floats" if key in metadata else "is missing: Minari would make the environment",
+            )
+    for key in ("env_spec", "eval_env_spec"):
+        if metadata.get(key) is not None:
+            yield from _env_spec(f"metadata.json/{key}", metadata[key])
+
+
+def _is_box(text: Any) -> bool:
+    try:
+        space = json.loads(text)
+        (size,) = space["shape"]
+        return (
+            space["type"] == "Box"
+            and space["dtype"] in ("float32", "float64")
+            and len(space["low"]) == len(space["high"]) == size
+            and all(isinstance(bound, float | int) for bound in (*space["low"], *space["high"]))
+        )
+    except (ValueError, TypeError, KeyError, RecursionError):
+        return False
+
+
+def _env_spec(where: str, text: Any) -> Iterator[Finding]:
+    try:
+        spec = json.loads(text)
+        entry_point, arguments = spec["entry_point"], spec["kwargs"]
+        wrappers, vector = spec["additional_wrappers"], spec.get("vector_entry_point")
+    except (ValueError, TypeError, KeyError, RecursionError):
+        yield Finding(where, "is no environment's specification")
+        return
+    if not isinstance(entry_point, str) or not entry_point.startswith(_ENTRY_POINTS):
+        yield Finding(
+            where,
+            f"makes the environment by {shown(entry_point)}, which is not of this package: do not load it",
+        )
+    if wrappers or vector is not None:
+        yield Finding(where, "wraps the environment in what is not of this package: do not load it")
+    if not isinstance(arguments, dict):
+        yield Finding(where, f"gives the environment the arguments {shown(arguments)}")
+
+
+def identity(file: h5py.File, metadata: dict[str, Any]) -> Iterator[Finding]:
+    """Report attributes of root, metadata and episodes that contradict each other or the variant."""
+    variants: dict[Variant, None] = {}
+    collection = "combined_datasets" in metadata
+    for number in range(len(file)):
+        attrs = file[f"episode_{number}"].attrs
+        name = f"episode_{number}"
+        try:
+            variant = variant_of(attrs)
+        except (ImujocoError, KeyError):
+            yield Finding(f"{name}@variant", f"is {shown(attrs.get('variant'))}, which is no variant")
+            continue
+        variants[variant] = None
+        for key, value in content.attributes(variant, str(attrs.get("tier"))).items():
+            if not same(attrs.get(key), value):
+                yield Finding(f"{name}@{key}", f"is {shown(attrs.get(key))}, not {value!r}")
+        if collection:
+            continue
+        for key in ("variant", "tier", CATALOGUE, content.REPLAYABLE):
+            if not same(attrs.get(key), plain(file.attrs.get(key))):
+                yield Finding(
+                    f"{name}@{key}",
+                    f"is {shown(attrs.get(key))}, but the dataset's is {shown(file.attrs.get(key))}",
+                )
+    if variants:
+        yield from _spaces(metadata, next(iter(variants)))
+        yield from _environment(file, metadata, list(variants))
+    if not collection:
+        yield from _root(file, metadata)
+
+
+def _spaces(metadata: dict[str, Any], variant: Variant) -> Iterator[Finding]:
+    for key, size in zip(_SPACES, SIZES[variant.robot], strict=True):
+        shape = json.loads(metadata[key])["shape"]
+        if shape != [size]:
+            yield Finding(f"metadata.json/{key}", f"is of shape {shown(shape)}, not [{size}]")
+
+
+def _environment(file: h5py.File, metadata: dict[str, Any], variants: list[Variant]) -> Iterator[Finding]:
+    """Report an environment that is not the variant's, or not the collection's of all its variants."""
+    if metadata.get("env_spec") is None:
+        yield Finding("metadata.json/env_spec", "is missing: no environment can be recovered")
+        return
+    spec = json.loads(metadata["env_spec"])
+    if isinstance(variants[0], OriginalVariant):
+        if len(variants) > 1:
+            return
+        expected = variants[0].environment_spec(str(file.attrs.get("mjcf")))
+    elif len(variants) == 1:
+        expected = environment_spec(variants[0])
+    else:
+        expected = collection_spec("", variants)
+    for key in ("entry_point", "kwargs", "max_episode_steps"):
+        if spec.get(key) != json.loads(expected.to_json())[key]:
+            yield Finding(
+                "metadata.json/env_spec", f"has the {key} {shown(spec.get(key))}, which is not the variant's"
+            )
+
+
+def _root(file: h5py.File, metadata: dict[str, Any]) -> Iterator[Finding]:
+    try:
+        variant = variant_of(file.attrs)
+        text, digest = str(file.attrs["mjcf"]), plain(file.attrs["mjcf_sha256"])
+    except (ImujocoError, KeyError) as error:
+        yield Finding(content.MAIN_FILE, f"lacks a true attribute of its variant: {str(error)[:120]}")
+        return
+    for key, value in content.attributes(variant, str(file.attrs.get("tier"))).items():
+        if not same(file.attrs.get(key), value):
+            yield Finding(f"@{key}", f"is {shown(file.attrs.get(key))}, not {value!r}")
+    for key in (*content.attributes(variant, ""), CATALOGUE, content.REPLAYABLE):
+        if not same(metadata.get(key), plain(file.attrs.get(key))):
+            yield Finding(
+                f"metadata.json/{key}",
+                f"is {shown(metadata.get(key))}, but the file's is {shown(file.attrs.get(key))}",
+            )
+    if metadata.get("mjcf_sha256") != digest:
+        yield Finding("metadata.json/mjcf_sha256", f"is {shown(metadata.get('mjcf_sha256'))}, not {digest}")
+    if mjcf_sha256(text) != digest:
+        yield Finding("@mjcf", "does not have the digest that mjcf_sha256 states")
+    elif not isinstance(variant, OriginalVariant) and text != canonical_mjcf(variant):
+        yield Finding("@mjcf", f"is not the model that {simulator()} makes of the variant")

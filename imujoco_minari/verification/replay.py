@@ -1,0 +1,82 @@
+"""The replay of episodes: the recorded seeds and actions through the variant's environment, bit for bit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from importlib.metadata import version
+from typing import Any
+
+import gymnasium as gym
+import h5py
+import numpy as np
+
+from imujoco_minari import content
+from imujoco_minari.importing.original import OriginalVariant, is_original, variant_of
+from imujoco_minari.registration import make
+from imujoco_minari.verification.findings import Finding
+
+
+def replay(file: h5py.File, episodes: range, on_episode: Callable[[], None] | None) -> Iterator[Finding]:
+    """Replay episodes from their seeds and actions and compare, bit for bit."""
+    environments: dict[str, gym.Env[Any, Any]] = {}
+    try:
+        for number in episodes:
+            group = file[f"episode_{number}"]
+            name = str(group.attrs["variant"])
+            if _can_replay(file, group):
+                if name not in environments:
+                    environments[name] = _environment(file, group)
+                yield from _replay_episode(group, f"episode_{number}", environments[name])
+            if on_episode is not None:
+                on_episode()
+    finally:
+        for env in environments.values():
+            env.close()
+
+
+def _can_replay(file: h5py.File, group: h5py.Group) -> bool:
+    # An original's model stands in its dataset; a collection of several holds none.
+    return bool(group.attrs.get(content.REPLAYABLE, True)) and (
+        not is_original(group.attrs) or "mjcf" in file.attrs
+    )
+
+
+def _environment(file: h5py.File, group: h5py.Group) -> gym.Env[Any, Any]:
+    variant = variant_of(group.attrs)
+    if isinstance(variant, OriginalVariant):
+        return gym.make(variant.environment_spec(str(file.attrs["mjcf"])))
+    return make(variant)
+
+
+def _replay_episode(group: h5py.Group, name: str, env: gym.Env[Any, Any]) -> Iterator[Finding]:
+    recorded = {key: group[key][()] for key in content.ARRAYS}
+    actions, length = recorded["actions"], len(recorded["rewards"])
+    replayed = {key: np.empty_like(recorded[key]) for key in content.ARRAYS if key != "actions"}
+    replayed["observations"][0], _ = env.reset(seed=int(group.attrs["seed"]))
+    steps = length
+    for step in range(length):
+        observation, reward, terminated, truncated, _ = env.step(actions[step])
+        replayed["observations"][step + 1] = observation
+        replayed["rewards"][step] = reward
+        replayed["terminations"][step], replayed["truncations"][step] = terminated, truncated
+        if terminated or truncated:
+            steps = step + 1
+            break
+    if steps < length:
+        yield Finding(name, f"has {length} steps, but its replay ends after {steps}")
+    for key, values in replayed.items():
+        rows = steps + 1 if key == "observations" else steps
+        # Compared as bytes, so that -0.0 is not 0.0.
+        ours = values[:rows].reshape(rows, -1).view(np.uint8)
+        theirs = recorded[key][:rows].reshape(rows, -1).view(np.uint8)
+        differing = np.flatnonzero((ours != theirs).any(axis=1))
+        if len(differing):
+            yield Finding(
+                f"{name}/{key}[{differing[0]}]",
+                f"differs from its replay by {simulator()}, as do {len(differing) - 1} later rows",
+            )
+
+
+def simulator() -> str:
+    """Return the versions that decide what a simulation gives, bit for bit."""
+    return f"mujoco {version('mujoco')} and gymnasium {version('gymnasium')}"

@@ -1,0 +1,64 @@
+"""Files that would take the whole process down are met by another one first.
+
+HDF5 is a C library with a long history of crashes on damaged files, which no ``except`` catches. So a
+dataset is read once by a child process, with bounds on time and memory, and only if that lives do we
+read it ourselves.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+from imujoco_minari import content
+from imujoco_minari.verification.findings import Finding
+
+MAX_MEMORY_BYTES = 2**33
+# What the slowest disk worth the name needs, beside a start on a busy machine.
+_START_SECONDS, _BYTES_PER_SECOND = 120, 2 * 2**20
+
+_CHILD = """
+import json, resource, sys
+limit, data, sys.path[:] = json.loads(sys.argv[1])
+resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+from pathlib import Path
+from imujoco_minari.verification import inspect
+inspect(Path(data), replay_episodes=0)
+"""
+
+
+def survives(data: Path) -> Finding | None:
+    """Read a dataset in a child process and return what became of that, or None when it lived."""
+    seconds = _START_SECONDS + _size(content.main_file(data)) // _BYTES_PER_SECOND
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("HDF5_EXT")}
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", _CHILD, json.dumps([MAX_MEMORY_BYTES, str(data.absolute()), sys.path])],
+            env=environment | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+            capture_output=True,
+            timeout=seconds,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return Finding(content.MAIN_FILE, f"cannot be read within {seconds} seconds")
+    if done.returncode < 0:
+        cause = signal.Signals(-done.returncode).name
+        return Finding(content.MAIN_FILE, f"is damaged so that reading it kills the process ({cause})")
+    if done.returncode:
+        lines = done.stderr.decode("utf-8", "replace").strip().splitlines()
+        return Finding(
+            content.MAIN_FILE, f"cannot be read: {lines[-1][:200] if lines else 'no reason given'}"
+        )
+    return None
+
+
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0
