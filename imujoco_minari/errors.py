@@ -54,6 +54,14 @@ class TrainingError(ImujocoError, RuntimeError):
     """Training cannot start, continue or end as asked."""
 
 
+class RenderingError(ImujocoError, RuntimeError):
+    """A picture or a video that cannot be drawn or written."""
+
+
+class RemoteError(ImujocoError, ConnectionError):
+    """A remote that is malformed, cannot be reached, or refuses."""
+
+
 class DependencyError(ImujocoError, ImportError):
     """An optional package is needed and not installed."""
 

@@ -1,0 +1,1 @@
+"""Figures of datasets and of policies' transfer."""

@@ -1,0 +1,135 @@
+"""Where the camera stands, so that the whole robot is in every picture and stays there.
+
+Needs no OpenGL: the robots are made of capsules, and a capsule is in the picture when its two ends,
+each with the radius around it, are. The distance that this takes has a closed form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# From a little in front of and above the robots' plane, so that a far leg shows behind a near one.
+AZIMUTH, ELEVATION = 104.0, -11.0
+FIELD_OF_VIEW = 30.0
+# Share of the half picture that the robot may fill.
+FILL = 0.9
+# Seconds over which the camera's way is averaged: it follows the robot, not its every jerk.
+SMOOTHING = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Capsules:
+    """The ends of all capsules of a robot along a motion.
+
+    Attributes:
+        ends: of shape (frames, ends, 3), in metres.
+        radii: of shape (ends,), in metres.
+    """
+
+    ends: Array
+    radii: Array
+
+    @property
+    def middle(self) -> Array:
+        """The middle (m) of the robot's extent along x, of shape (frames,)."""
+        low = (self.ends[:, :, 0] - self.radii).min(axis=1)
+        high = (self.ends[:, :, 0] + self.radii).max(axis=1)
+        return np.asarray((low + high) / 2)
+
+    @property
+    def top(self) -> float:
+        """The highest point (m) of the motion."""
+        return float((self.ends[:, :, 2] + self.radii).max())
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A camera that looks at one point a frame from one distance.
+
+    Attributes:
+        lookat: of shape (frames, 3), in metres.
+        distance: from that point, in metres.
+    """
+
+    lookat: Array
+    distance: float
+
+    def project(self, points: Array, aspect: float) -> Array:
+        """Return where ``points`` (frames, n, 3) lie in the picture: (frames, n, 2), each within -1 to 1."""
+        right, up, forward = axes()
+        relative = points - self.lookat[:, None, :]
+        depth = self.distance + relative @ forward
+        tangent = np.tan(np.radians(FIELD_OF_VIEW) / 2)
+        x, y = relative @ right / (depth * tangent * aspect), relative @ up / (depth * tangent)
+        return np.stack([x, y], axis=-1)
+
+
+def axes() -> tuple[Array, Array, Array]:
+    """Return the camera's right, up and forward unit vectors in the world, by MuJoCo's angles."""
+    azimuth, elevation = np.radians(AZIMUTH), np.radians(ELEVATION)
+    forward = np.array(
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+        ]
+    )
+    right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
+    return right, np.cross(right, forward), forward
+
+
+def capsules(model: Any, positions: Array) -> Capsules:
+    """Return the robot's capsules along ``positions`` (frames, nq)."""
+    data = mujoco.MjData(model)
+    chosen = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE)
+    radii, halves = model.geom_size[chosen, 0], model.geom_size[chosen, 1]
+    ends = np.empty((len(positions), 2 * len(chosen), 3))
+    for frame, position in enumerate(positions):
+        data.qpos[:] = position
+        mujoco.mj_kinematics(model, data)
+        along = data.geom_xmat.reshape(-1, 3, 3)[chosen, :, 2] * halves[:, None]
+        centres = data.geom_xpos[chosen]
+        ends[frame] = np.concatenate([centres - along, centres + along])
+    return Capsules(ends, np.concatenate([radii, radii]))
+
+
+def follow(motions: Sequence[Capsules], aspect: float, frame_seconds: float) -> list[Camera]:
+    """Return a camera for each motion, all at one distance and height, so that sizes compare.
+
+    Args:
+        motions: capsules along each motion.
+        aspect: width of the picture over its height.
+        frame_seconds: seconds between two frames.
+    """
+    height = max(motion.top for motion in motions) / 2
+    lookats = []
+    for motion in motions:
+        way = _smooth(motion.middle, round(SMOOTHING / frame_seconds))
+        lookats.append(np.stack([way, np.zeros_like(way), np.full_like(way, height)], axis=-1))
+    distance = max(_distance(motion, lookat, aspect) for motion, lookat in zip(motions, lookats, strict=True))
+    return [Camera(lookat, distance) for lookat in lookats]
+
+
+def _distance(motion: Capsules, lookat: Array, aspect: float) -> float:
+    """Return the smallest distance (m) from which all ends, with their radii, are in all pictures."""
+    right, up, forward = axes()
+    relative = motion.ends - lookat[:, None, :]
+    tangent = FILL * np.tan(np.radians(FIELD_OF_VIEW) / 2)
+    beside = (np.abs(relative @ right) + motion.radii) / (tangent * aspect)
+    above = (np.abs(relative @ up) + motion.radii) / tangent
+    return float((np.maximum(beside, above) - relative @ forward + motion.radii).max())
+
+
+def _smooth(values: Array, window: int) -> Array:
+    """Return the moving average of ``values``; beyond the ends they go on as they begin and end."""
+    half = min(window // 2, len(values) - 1)
+    padded = np.pad(values, half, mode="reflect", reflect_type="odd")
+    return np.convolve(padded, np.full(2 * half + 1, 1 / (2 * half + 1)), mode="valid")

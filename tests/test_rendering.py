@@ -1,0 +1,492 @@
+"""Pictures: what is drawn, where the camera stands, and, where there is an OpenGL, the pixels."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from imujoco_minari import publish
+from imujoco_minari.cli.app import run
+from imujoco_minari.errors import (
+    DatasetNotFoundError,
+    DependencyError,
+    PolicyNotFoundError,
+    RenderingError,
+    VariantError,
+)
+from imujoco_minari.mjcf import canonical_mjcf, compile_mjcf
+from imujoco_minari.policies import SIZES, RandomPolicy
+from imujoco_minari.rendering import frame_steps, gl, render_motions
+from imujoco_minari.rendering.files import write_picture, write_video
+from imujoco_minari.rendering.film import caption_height, change, contact_sheet, grid, pace, sheet_steps
+from imujoco_minari.rendering.framing import FILL, Capsules, axes, capsules, follow
+from imujoco_minari.rendering.motion import Motion, perform, replay, timestep
+from imujoco_minari.rendering.scene import COLOURS, NEAR, scene_model
+from imujoco_minari.rendering.source import of_dataset, of_variant
+from imujoco_minari.variants import Variant, bases, catalogue
+
+HOPPER = Variant.parse("hopper-massdec_25_leggeom")
+ONE_A_KIND = [
+    next(variant for variant in catalogue(robot, category))
+    for robot in SIZES
+    for category in ("mass", "joint", "length", "friction")
+]
+
+
+@pytest.fixture(scope="session")
+def opengl() -> str:
+    """The backend, or a skip where this machine has none."""
+    try:
+        return gl.backend()
+    except RenderingError as error:
+        pytest.skip(str(error))
+
+
+def moved(variant: Variant, seconds: float | None = None) -> Motion:
+    return perform(variant, RandomPolicy(SIZES[variant.robot][1]), seed=3, seconds=seconds)
+
+
+# What moves
+
+
+def test_a_performance_is_the_episode_of_its_seed() -> None:
+    first, again = moved(HOPPER), moved(HOPPER)
+    assert np.array_equal(first.positions, again.positions)
+    assert first.terminated
+    assert first.positions.shape == (len(first.rewards) + 1, 6)
+    assert first.duration == pytest.approx(len(first.rewards) * 0.008)
+
+
+def test_a_performance_ends_after_the_seconds_asked_for() -> None:
+    motion = moved(Variant.parse("halfcheetah-base"), seconds=2.0)
+    assert len(motion.rewards) == 40
+    assert not motion.terminated
+
+
+def test_a_motion_is_cut_without_changing_what_is_left() -> None:
+    whole = moved(HOPPER)
+    part = whole.until(0.04)
+    assert len(part.rewards) == 5
+    assert np.array_equal(part.positions, whole.positions[:6])
+    assert not part.terminated
+    assert whole.until(1e6) is whole
+
+
+def test_a_recorded_episode_is_replayed_not_played_anew() -> None:
+    published = publish(HOPPER, tier="random", episodes=3, seed=5)
+    import h5py
+
+    with h5py.File(published.path / "data" / "main_data.hdf5") as file:
+        recorded = [
+            (file[f"episode_{k}/observations"][()], file[f"episode_{k}/rewards"][()]) for k in range(3)
+        ]
+    for episode, (observations, rewards) in enumerate(recorded):
+        motion = replay(published.dataset_id, episode)
+        # A Hopper's observation begins with all its positions but the distance run.
+        assert np.array_equal(motion.positions[:, 1:], observations[:, :5])
+        assert np.array_equal(motion.rewards, rewards)
+        assert motion.divergence == 0.0
+    assert not np.array_equal(recorded[0][0][0], recorded[1][0][0])
+
+
+def test_a_replay_that_does_not_follow_its_record_says_so() -> None:
+    published = publish(HOPPER, tier="random", episodes=1)
+    import h5py
+
+    with h5py.File(published.path / "data" / "main_data.hdf5", "a") as file:
+        file["episode_0/observations"][2, 0] += 0.25
+    assert replay(published.dataset_id).divergence == pytest.approx(0.25)
+
+
+def test_replaying_what_is_not_there_names_it_and_the_valid_episodes() -> None:
+    with pytest.raises(DatasetNotFoundError, match="imujoco/hopper-base-v0 is not in the Minari root"):
+        replay("imujoco/hopper-base-v0")
+    published = publish(HOPPER, tier="random", episodes=2)
+    with pytest.raises(DatasetNotFoundError, match="no episode 2; valid: 0 to 1"):
+        replay(published.dataset_id, 2)
+
+
+def test_beside_a_dataset_stands_the_base_robots_episode_of_that_number() -> None:
+    published = publish(HOPPER, tier="random", episodes=2)
+    base = publish(HOPPER.base, tier="random", episodes=2, seed=9)
+    left, right = of_dataset(published.dataset_id, 1, beside_base=True)
+    assert np.array_equal(left.positions, replay(base.dataset_id, 1).positions)
+    assert np.array_equal(right.positions, replay(published.dataset_id, 1).positions)
+    assert [left.variant, right.variant] == [HOPPER.base, HOPPER]
+
+
+def test_without_a_dataset_of_the_base_robot_its_policy_of_the_tier_moves_it() -> None:
+    published = publish(HOPPER, tier="random", episodes=1)
+    left, right = of_dataset(published.dataset_id, 0, beside_base=True)
+    assert (left.variant, left.title) == (HOPPER.base, "random policy")
+    assert right.variant == HOPPER
+
+
+def test_beside_a_base_robot_stands_nothing() -> None:
+    assert len(of_variant(HOPPER.base, "random", None, beside_base=True)) == 1
+    assert len(of_variant(HOPPER, "random", None, beside_base=True)) == 2
+
+
+# Where the camera stands
+
+
+@pytest.mark.parametrize("variant", [*bases(), *ONE_A_KIND], ids=str)
+@pytest.mark.parametrize("aspect", [4 / 3, 0.6, 2.5])
+def test_the_whole_robot_is_in_every_picture(variant: Variant, aspect: float) -> None:
+    motion = moved(variant, seconds=2.0)
+    seen = capsules(compile_mjcf(canonical_mjcf(variant)), motion.positions)
+    (camera,) = follow([seen], aspect, motion.timestep)
+    right, up, _ = axes()
+    reach = 0.0
+    for direction in (right, -right, up, -up):
+        rim = seen.ends + seen.radii[:, None] * direction
+        reach = max(reach, float(np.abs(camera.project(rim, aspect)).max()))
+    assert reach <= FILL + 1e-9
+    # And it is no speck: the robot fills a good part of the picture's shorter way.
+    assert reach > 0.6
+
+
+def test_the_camera_follows_a_runner_and_stands_at_one_height() -> None:
+    way = np.linspace(0.0, 50.0, 101)
+    ends = np.stack(
+        [np.stack([way + dx, 0 * way, 0 * way + z], axis=-1) for dx, z in ((-0.3, 0.1), (0.3, 0.9))], 1
+    )
+    (camera,) = follow([Capsules(ends, np.array([0.05, 0.05]))], 1.0, 0.05)
+    assert camera.lookat[:, 0] == pytest.approx(way)
+    assert np.ptp(camera.lookat[:, 2]) == 0.0
+
+
+def test_robots_side_by_side_are_seen_from_one_distance() -> None:
+    small, large = (
+        capsules(compile_mjcf(canonical_mjcf(Variant.parse(name))), moved(Variant.parse(name)).positions)
+        for name in ("hopper-base", "hopper-lengthinc_200_torsogeom")
+    )
+    alone = follow([small], 1.0, 0.008)[0]
+    together = follow([small, large], 1.0, 0.008)
+    assert together[0].distance == together[1].distance > alone.distance
+
+
+def test_the_camera_model_is_mujocos(opengl: str) -> None:
+    """A bright ball's pixels lie where the projection says."""
+    from imujoco_minari.rendering.studio import Studio
+
+    variant = Variant.parse("hopper-massinc_50_footgeom")
+    motion = moved(variant)
+    with Studio(320, 240, fine=False) as studio:
+        seen = capsules(studio.model(variant), motion.positions)
+        (camera,) = follow([seen], studio.aspect, motion.timestep)
+        picture = next(studio.shoot(variant, motion.positions[:1], camera)).astype(float)
+    # The foot's capsule is the last geom; its colour is orange, and nothing else is.
+    rows, columns = np.nonzero(picture[:, :, 0] - picture[:, :, 2] > 60)
+    ends = camera.project(seen.ends, 4 / 3)[0][[3, 7]].mean(axis=0)
+    assert columns.mean() == pytest.approx((ends[0] + 1) * 160, abs=6)
+    assert rows.mean() == pytest.approx((1 - ends[1]) * 120, abs=6)
+
+
+# How it looks
+
+
+@pytest.mark.parametrize("variant", [*bases(), *ONE_A_KIND], ids=str)
+def test_the_scene_has_the_variants_geometry_and_colours_what_changes(variant: Variant) -> None:
+    scene = scene_model(variant, width=320, height=240)
+    plain = compile_mjcf(canonical_mjcf(variant))
+    robot = slice(1, None)
+    assert np.array_equal(scene.geom_size[robot], plain.geom_size[robot])
+    assert np.array_equal(scene.body_pos, plain.body_pos)
+    assert np.array_equal(scene.geom_pos, plain.geom_pos)
+    colour = COLOURS.get(variant.category)
+    coloured = {
+        scene.geom(i).name
+        for i in range(1, scene.ngeom)
+        if colour and np.allclose(scene.geom_rgba[i][:3], colour)
+    }
+    if variant.category == "joint":
+        assert scene.nsite == 1
+        assert np.allclose(scene.site_rgba[0][:3], colour)
+    else:
+        assert coloured == set(variant.mjcf_names)
+        assert scene.nsite == 0
+
+
+def test_the_colours_differ_from_each_other_and_from_the_robot() -> None:
+    colours = [*COLOURS.values(), NEAR]
+    for number, first in enumerate(colours):
+        for second in colours[number + 1 :]:
+            assert np.abs(np.subtract(first, second)).max() > 0.15
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("hopper-base", "the unchanged robot"),
+        ("hopper-massdec_25_leggeom", "mass of leg_geom -25 %"),
+        ("hopper-jointdec_50_legjoint", "range of leg_joint -50 %"),
+        ("walker2d-frictioninc_50_feet", "friction of foot_geom, foot_left_geom +50 %"),
+    ],
+)
+def test_the_caption_says_what_changes(name: str, words: str) -> None:
+    assert change(Variant.parse(name)) == words
+
+
+# Frames
+
+
+@pytest.mark.parametrize("robot", SIZES)
+def test_a_video_runs_as_fast_as_the_simulation(robot: str) -> None:
+    motion = moved(Variant(robot, "base", 0, ""), seconds=1.0)
+    tempo = pace([motion])
+    assert 1 / (tempo.stride * tempo.per_second) == pytest.approx(motion.timestep)
+    assert 15 <= tempo.per_second <= 35
+    assert timestep(motion.variant) == motion.timestep
+
+
+def test_frames_of_a_video_a_picture_and_a_sheet() -> None:
+    motion = moved(Variant.parse("halfcheetah-base"), seconds=5.0)
+    assert frame_steps([motion], Path("a.mp4")) == list(range(101))
+    assert len(frame_steps([motion], Path("a.gif"))) == 51
+    assert frame_steps([motion], Path("a.png")) == [50]
+    steps = frame_steps([motion], Path("a.png"), sheet=True)
+    assert (len(steps), steps[0], steps[-1]) == (12, 0, 100)
+    assert sheet_steps(3) == [0, 1, 2]
+
+
+def test_a_sheet_loses_no_picture() -> None:
+    pictures = [Image.new("RGB", (20, 10), (number, 0, 0)) for number in range(7)]
+    whole = grid(pictures, 4)
+    assert {whole.getpixel((x, y))[0] for y in (5, 23) for x in (10, 38, 66, 94)} == {*range(7), 255}
+    assert contact_sheet([Image.new("RGB", (50, 10))] * 3).width < 3 * 50
+
+
+# Files
+
+
+def pictures(count: int) -> list[Image.Image]:
+    return [Image.new("RGB", (65, 49), (20 * number, 80, 200 - 20 * number)) for number in range(count)]
+
+
+def test_a_video_has_its_frames_and_its_rate(tmp_path: Path) -> None:
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    target = tmp_path / "new" / "clip.mp4"
+    write_video(target, pictures(10), 20.0)
+    with Path(target).open("rb") as file:
+        assert b"ftyp" in file.read(12)
+    count, seconds = imageio_ffmpeg.count_frames_and_secs(str(target))
+    assert (count, seconds) == (10, pytest.approx(0.5, abs=0.06))
+    assert [item.name for item in target.parent.iterdir()] == ["clip.mp4"]
+
+
+def test_a_gif_has_its_frames_and_its_rate(tmp_path: Path) -> None:
+    write_video(tmp_path / "clip.gif", pictures(6), 12.5)
+    with Image.open(tmp_path / "clip.gif") as clip:
+        assert (clip.n_frames, clip.info["duration"], clip.size) == (6, 80, (65, 49))
+
+
+def test_an_interrupted_video_leaves_the_old_one(tmp_path: Path) -> None:
+    pytest.importorskip("imageio_ffmpeg")
+    target = tmp_path / "clip.mp4"
+    target.write_text("the old one")
+
+    def broken() -> object:
+        yield from pictures(3)
+        raise RuntimeError("the power is out")
+
+    with pytest.raises(RuntimeError, match="power"):
+        write_video(target, broken(), 20.0)  # type: ignore[arg-type]
+    assert target.read_text() == "the old one"
+    assert [item.name for item in tmp_path.iterdir()] == ["clip.mp4"]
+
+
+def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RenderingError, match=r"cannot write .*file/a.png"):
+        write_picture(tmp_path / "file" / "a.png", pictures(1)[0])
+
+
+@pytest.mark.parametrize("name", ["a.avi", "a", "mp4"])
+def test_a_format_that_is_not_written_is_refused(name: str) -> None:
+    with pytest.raises(RenderingError, match=r"valid endings: \.mp4, \.gif, \.png"):
+        frame_steps([moved(HOPPER)], Path(name))
+
+
+def test_a_missing_video_writer_is_named_with_its_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(DependencyError, match=r'pip install "imujoco-minari\[render\]"'):
+        frame_steps([moved(HOPPER)], Path("a.mp4"))
+
+
+# OpenGL
+
+
+@pytest.fixture
+def untried(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
+    """The choice of a backend as a new process makes it."""
+    gl.backend.cache_clear()
+    for name in ("MUJOCO_GL", "PYOPENGL_PLATFORM"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
+    yield monkeypatch
+    gl.backend.cache_clear()
+
+
+def test_egl_is_preferred_and_osmesa_comes_next(untried: pytest.MonkeyPatch) -> None:
+    untried.setattr(gl, "_works", lambda candidate: True)
+    assert gl.backend() == "egl"
+    gl.backend.cache_clear()
+    untried.delenv("MUJOCO_GL")
+    untried.setattr(gl, "_works", lambda candidate: candidate == "osmesa")
+    assert gl.backend() == "osmesa"
+
+
+def test_without_any_opengl_the_packages_to_install_are_named(untried: pytest.MonkeyPatch) -> None:
+    untried.setattr(gl, "_works", lambda candidate: False)
+    with pytest.raises(RenderingError, match=r"libegl1 libgl1-mesa-dri.*libosmesa6"):
+        gl.backend()
+
+
+def test_the_users_choice_decides(untried: pytest.MonkeyPatch) -> None:
+    tried = []
+    untried.setattr(gl, "_works", lambda candidate: bool(tried.append(candidate)))
+    untried.setenv("MUJOCO_GL", "osmesa")
+    with pytest.raises(RenderingError, match="tried osmesa"):
+        gl.backend()
+    assert tried == ["osmesa"]
+    untried.setenv("MUJOCO_GL", "glfw")
+    assert gl.backend() == "native"
+
+
+def test_a_library_that_is_not_there_does_not_work() -> None:
+    gl.LIBRARIES["nothing"] = "libnothing-at-all.so.1"
+    try:
+        assert not gl._works("nothing")
+    finally:
+        del gl.LIBRARIES["nothing"]
+
+
+def test_the_backend_is_found_after_mujoco_was_imported(opengl: str, tmp_path: Path) -> None:
+    """What MuJoCo settled on at its import does not matter; nor does a display that is not there."""
+    code = (
+        "import sys, mujoco, imujoco_minari.envs\n"
+        "from imujoco_minari.cli.app import run\n"
+        "import imujoco_minari.cli\n"
+        "sys.exit(run('render hopper-base --tier random --size 64x64 --out'.split() + sys.argv[1:]))"
+    )
+    environment = {
+        key: value
+        for key, value in os.environ.items()
+        if key not in ("MUJOCO_GL", "PYOPENGL_PLATFORM", "DISPLAY")
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "a.png")],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+    assert (tmp_path / "a.png").exists()
+
+
+# The pixels
+
+
+def test_the_picture_shows_robot_floor_and_sky(opengl: str, tmp_path: Path) -> None:
+    motions = [moved(variant) for variant in (HOPPER.base, HOPPER)]
+    seen = []
+    render_motions(motions, tmp_path / "a.png", (320, 240), on_frame=lambda: seen.append(1))
+    picture = np.asarray(Image.open(tmp_path / "a.png")).astype(int)
+    strip = caption_height(240)
+    assert picture.shape == (240 + strip, 2 * 320 + 4, 3)
+    assert seen == [1]
+    left, right = picture[strip:, :320], picture[strip:, 324:]
+    orange = [int(((part[:, :, 0] - part[:, :, 2]) > 60).sum()) for part in (left, right)]
+    assert orange[0] == 0
+    assert orange[1] > 100
+    # Tiles, not one grey: light and dark ones on the lowest rows.
+    assert np.ptp(left[-30:].mean(axis=2)) > 15
+    # The captions hold ink.
+    assert picture[:strip, :320].min() < 100
+    assert picture[:strip, 324:].min() < 100
+    # Nothing of the robot touches the frame: its colours stay inside.
+    for edge in (right[0], right[-1], right[:, 0], right[:, -1]):
+        assert (edge[:, 0] - edge[:, 2]).max() < 60
+
+
+def test_frames_of_a_video_differ(opengl: str, tmp_path: Path) -> None:
+    render_motions([moved(HOPPER)], tmp_path / "a.gif", (96, 96))
+    with Image.open(tmp_path / "a.gif") as clip:
+        assert clip.n_frames > 1
+        first = np.asarray(clip.convert("RGB")).astype(int)
+        clip.seek(clip.n_frames - 1)
+        last = np.asarray(clip.convert("RGB")).astype(int)
+    assert np.abs(first - last).max() > 60
+
+
+def test_the_command_renders_a_recorded_episode(
+    opengl: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    published = publish(HOPPER, tier="random", episodes=2)
+    target = tmp_path / "sheet.png"
+    assert (
+        run(
+            [
+                "render",
+                published.dataset_id,
+                "-e",
+                "1",
+                "--sheet",
+                "--size",
+                "96x80",
+                "-o",
+                str(target),
+                "--json",
+            ]
+        )
+        == 0
+    )
+    told = json.loads(capsys.readouterr().out)
+    assert told["path"] == str(target)
+    assert told["motions"][0]["moved_by"] == "random, episode 1"
+    assert told["motions"][0]["divergence"] == 0.0
+    assert target.exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["hopper-massdec_25_legeom"], 2, "did you mean"),
+        (["hopper-base", "--tier", "mine", "--out", "a.png"], 1, "no policy makes the tier 'mine'"),
+        (["hopper-base", "--tier", "random", "--out", "a.avi"], 1, "valid endings"),
+        (["hopper-base", "--tier", "random", "--sheet", "--out", "a.gif"], 1, "give --out a .png"),
+        (["hopper-base", "--tier", "random", "--out", "a.png", "--size", "big"], 1, "WIDTHxHEIGHT"),
+        (["hopper-base", "--tier", "random", "--out", "a.png", "--size", "1x1"], 1, "64 to 4096"),
+        (["imujoco/hopper-base-v0", "--out", "a.png"], 1, "is not in the Minari root"),
+    ],
+)
+def test_the_command_names_what_is_wrong(
+    arguments: list[str],
+    code: int,
+    words: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(["render", *arguments]) == code
+    assert words in capsys.readouterr().err
+    assert list(tmp_path.glob("*.*")) == []
+
+
+def test_errors_are_the_builtins_that_fit() -> None:
+    assert issubclass(RenderingError, RuntimeError)
+    with pytest.raises(PolicyNotFoundError):
+        of_variant(HOPPER, "mine", None)
+    with pytest.raises(VariantError):
+        of_variant(Variant.parse("hopper-nothing"), "random", None)
