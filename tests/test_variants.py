@@ -1,0 +1,141 @@
+"""The grammar of ids and the catalogue."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from imujoco_minari.errors import CatalogueError, ImujocoError, VariantError
+from imujoco_minari.variants import (
+    CATEGORIES,
+    ROBOTS,
+    Variant,
+    bases,
+    catalogue,
+    parse_dataset_id,
+    parse_specification,
+    specification,
+)
+
+
+def test_catalogue_has_the_published_counts() -> None:
+    counts = {robot: len(catalogue(robot)) for robot in ROBOTS}
+    assert counts == {"hopper": 37, "halfcheetah": 53, "walker2d": 64}
+    assert len(set(catalogue())) == 154
+    assert not set(bases()) & set(catalogue())
+
+
+def test_catalogue_holds_the_names_known_from_the_original() -> None:
+    ids = {str(variant) for variant in catalogue()}
+    assert {
+        "hopper-massdec_25_leggeom",
+        "hopper-massdec_50_footgeom",
+        "halfcheetah-jointdec_25_bfoot",
+        "halfcheetah-jointdec_25_bshin",
+    } <= ids
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("category", CATEGORIES)
+def test_filters_keep_what_they_name(robot: str, category: str) -> None:
+    chosen = catalogue(robot, category)
+    assert chosen
+    assert {(v.robot, v.category) for v in chosen} == {(robot, category)}
+
+
+@st.composite
+def variants(draw: st.DrawFn) -> Variant:
+    robot = draw(st.sampled_from(ROBOTS))
+    category = draw(st.sampled_from(CATEGORIES))
+    body = draw(st.sampled_from(sorted(specification(robot).changes[category].bodies)))
+    percent = draw(st.integers(-99, 0 if category == "joint" else 10_000))
+    return Variant(robot, category, percent, body)
+
+
+@given(variants())
+def test_parsing_undoes_formatting(variant: Variant) -> None:
+    assert Variant.parse(str(variant)) == variant
+    assert Variant.parse(variant.environment_id) == variant
+    assert parse_dataset_id(variant.dataset_id()) == (variant, "expert")
+    assert parse_dataset_id(variant.dataset_id("medium-expert")) == (variant, "medium-expert")
+    assert variant.factor == pytest.approx(1 + variant.percent / 100)
+
+
+@given(st.text(max_size=60) | st.from_regex(r"[a-z0-9]+-[a-z]+_[0-9]+_[a-z]+", fullmatch=True))
+def test_any_text_is_a_variant_or_a_variant_error(text: str) -> None:
+    try:
+        variant = Variant.parse(text)
+    except VariantError as error:
+        assert "\n" not in str(error) or "\n" in text
+    else:
+        assert str(variant) in text
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("hoper-massdec_25_leggeom", ["did you mean 'hopper'", "halfcheetah, walker2d"]),
+        ("hopper-masdec_25_leggeom", ["unknown category 'mas'", "did you mean 'mass'"]),
+        ("hopper-massdec_25_leggom", ["no body 'leggom'", "did you mean 'leggeom'", "torsogeom, thighgeom"]),
+        ("hopper-massdec_100_leggeom", ["percent -100", "above -100"]),
+        ("hopper-massdec_250_leggeom", ["percent -250"]),
+        ("hopper-massinc_10001_leggeom", ["at most 10000"]),
+        ("hopper-massinc_" + "9" * 50 + "_leggeom", ["too large"]),
+        ("hopper-jointinc_25_legjoint", ["can only shrink"]),
+        ("hopper-massdec_025_leggeom", ["leading zeros"]),
+        ("hopper-massdec_0_leggeom", ["inc_0"]),
+        ("hopper-leggeom", ["malformed", "as in hopper-massdec_25_leggeom"]),
+        ("hopper", ["malformed"]),
+        ("../hopper-base", ["malformed"]),
+        ("", ["malformed"]),
+    ],
+)
+def test_a_wrong_id_says_what_is_wrong_and_what_is_right(text: str, words: list[str]) -> None:
+    with pytest.raises(VariantError) as caught:
+        Variant.parse(text)
+    message = str(caught.value)
+    assert all(word in message for word in words), message
+    assert len(message) < 400
+    assert isinstance(caught.value, ImujocoError)
+    assert isinstance(caught.value, ValueError)
+
+
+@pytest.mark.parametrize("tier", ["", "Expert", "../x", "a b", "-x", "x" * 50])
+def test_a_wrong_tier_is_refused(tier: str) -> None:
+    with pytest.raises(VariantError, match="malformed tier"):
+        Variant.parse("hopper-base").dataset_id(tier)
+
+
+GOOD = """
+environment = "Hopper-v5"
+model = "hopper.xml"
+feet = ["foot_geom"]
+healthy_z_range = [0.7, inf]
+""" + "".join(f'[{category}]\npercents = [-50]\nbodies = ["foot_geom"]\n' for category in CATEGORIES)
+
+
+def test_a_specification_reads_back_what_it_says() -> None:
+    parsed = parse_specification(GOOD, "good.toml")
+    assert parsed.environment == "Hopper-v5"
+    assert parsed.healthy_z_range == (0.7, float("inf"))
+    assert parsed.changes["mass"].bodies == {"footgeom": ("foot_geom",)}
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "words"),
+    [
+        ("environment", "enviroment", ["unknown key 'enviroment'", "did you mean 'environment'"]),
+        ("[mass]\npercents = [-50]", "[mass]\npercents = [-100]", ["[mass]", "above -100"]),
+        ("[mass]\npercents = [-50]", "[mass]\npercents = [0]", ["not 0"]),
+        ("[mass]\npercents = [-50]", "[mass]\npercent = [-50]", ["[mass] must hold percents and bodies"]),
+        ('feet = ["foot_geom"]', "feet = 3", ["feet must be a list"]),
+        ("[0.7, inf]", "[0.7]", ["healthy_z_range"]),
+        ("environment =", "environment = =", ["not TOML"]),
+    ],
+)
+def test_a_wrong_specification_is_named(before: str, after: str, words: list[str]) -> None:
+    assert before in GOOD
+    with pytest.raises(CatalogueError) as caught:
+        parse_specification(GOOD.replace(before, after, 1), "bad.toml")
+    assert all(word in str(caught.value) for word in ["bad.toml", *words]), caught.value
