@@ -176,8 +176,8 @@ def _check_actions(actions: Array) -> Check:
 def _check_next(rows: Transitions) -> Check:
     assert rows.next_observations is not None
     inner = _inner(rows)
-    close = np.isclose(rows.next_observations[:-1], rows.observations[1:], rtol=1e-5, atol=1e-6)
-    same = np.asarray(close).all(axis=1)[inner]
+    close: Array = np.isclose(rows.next_observations[:-1], rows.observations[1:], rtol=1e-5, atol=1e-6)
+    same = close.all(axis=1)[inner]
     share = float(same.mean()) if len(same) else 0.0
     return Check(
         "the next observation is the next row's", share >= 0.98, f"in {share:.1%} of {len(same)} rows"
