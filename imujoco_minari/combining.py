@@ -7,7 +7,8 @@ attribute stays, and no array is decoded.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
 from os.path import relpath
@@ -20,9 +21,10 @@ from minari import MinariDataset
 from minari.dataset.minari_storage import MinariStorage
 
 from imujoco_minari import content, roots
-from imujoco_minari.errors import DatasetError, DatasetExistsError, DatasetNotFoundError
+from imujoco_minari.errors import DatasetError, DatasetExistsError, DatasetNotFoundError, ImujocoError
 from imujoco_minari.registration import collection_spec, environment_spec
 from imujoco_minari.variants import EXPERT, NAMESPACE, Variant, catalogue
+from imujoco_minari.verification.identity import read_metadata
 
 # Attributes that a collection carries itself where all its episodes agree on them.
 _COMMON = ("variant", "robot", "category", "body", "percent", "tier")
@@ -72,7 +74,8 @@ def combine_datasets(
     with roots.staging(new_dataset_id) as staging_folder:
         staged = staging_folder / "dataset"
         staged.mkdir()
-        attributes = _write(sources, staged / "data", folder / "data" if link else None)
+        with _damage_named():
+            attributes = _write(sources, staged / "data", folder / "data" if link else None)
         _describe(sources, staged / "data", new_dataset_id, attributes)
         content.seal_files(staged / "data")
         roots.commit(staged, new_dataset_id, replace=force)
@@ -96,7 +99,7 @@ def _source(dataset: MinariDataset | str) -> _Source:
         folder = roots.dataset_folder(dataset) / "data"
         if not folder.is_dir():
             raise DatasetNotFoundError(f"{dataset} is not in the Minari root, at {folder.parent}")
-        dataset = MinariDataset(folder)
+        dataset = _load(dataset, folder)
     if dataset.storage.FORMAT != "hdf5":
         raise DatasetError(f"{dataset.id} is stored as {dataset.storage.FORMAT}; valid: hdf5")
     return _Source(
@@ -106,6 +109,35 @@ def _source(dataset: MinariDataset | str) -> _Source:
         storage=dataset.storage,
         env_spec=dataset.env_spec,
     )
+
+
+def _load(dataset_id: str, data: Path) -> MinariDataset:
+    """Load a dataset, but never by making the environment that its metadata names, which may be anything."""
+    metadata = read_metadata(data)
+    if not all(isinstance(metadata.get(key), str) for key in ("observation_space", "action_space")):
+        raise DatasetError(
+            f"{dataset_id} does not state its spaces, so that Minari would run what its env_spec names: "
+            f"do not load it; see `imujoco verify {dataset_id}`"
+        )
+    try:
+        return MinariDataset(data)
+    except Exception as error:  # Minari asserts and raises whatever odd metadata makes it stumble on
+        raise DatasetError(
+            f"{dataset_id} cannot be loaded: {type(error).__name__}: {str(error)[:200]}"
+        ) from None
+
+
+@contextmanager
+def _damage_named() -> Iterator[None]:
+    """Turn what h5py raises on a damaged source into a DatasetError; a full disk stays an OSError."""
+    try:
+        yield
+    except (KeyError, ValueError, TypeError, RuntimeError, OSError) as error:
+        if isinstance(error, ImujocoError) or (isinstance(error, OSError) and error.errno is not None):
+            raise
+        raise DatasetError(
+            f"a dataset cannot be copied: {str(error)[:200]}; `imujoco verify` finds what is wrong with it"
+        ) from None
 
 
 def _check(sources: Sequence[_Source]) -> None:

@@ -348,7 +348,7 @@ def _summary(dataset_id: str, *, created: bool, seconds: float = 0.0) -> Publish
             returns = [file[name].attrs["rewards_sum"] for name in file]
             steps = sum(int(file[name].attrs["total_steps"]) for name in file)
             digest = str(file.attrs.get("content_sha256", ""))
-    except (OSError, KeyError) as error:
+    except (OSError, KeyError, ValueError, TypeError, AttributeError, RuntimeError) as error:
         raise DatasetError(
             f"{dataset_id}: there is something at {path}, but no whole dataset of ours: {error}"
         ) from None
