@@ -28,6 +28,7 @@ from imujoco_minari.rendering.files import write_picture, write_video
 from imujoco_minari.rendering.film import caption_height, change, contact_sheet, grid, pace, sheet_steps
 from imujoco_minari.rendering.framing import FILL, Capsules, axes, capsules, follow
 from imujoco_minari.rendering.motion import Motion, perform, replay, timestep
+from imujoco_minari.rendering.portraits import portraits, stance
 from imujoco_minari.rendering.scene import COLOURS, NEAR, scene_model
 from imujoco_minari.rendering.source import of_dataset, of_variant
 from imujoco_minari.variants import Variant, bases, catalogue
@@ -490,3 +491,34 @@ def test_errors_are_the_builtins_that_fit() -> None:
         of_variant(HOPPER, "mine", None)
     with pytest.raises(VariantError):
         of_variant(Variant.parse("hopper-nothing"), "random", None)
+
+
+# Portraits
+
+
+@pytest.mark.parametrize("variant", [*bases(), *ONE_A_KIND], ids=str)
+def test_a_stance_stands_on_the_floor_within_the_joints_ranges(variant: Variant) -> None:
+    model = compile_mjcf(canonical_mjcf(variant))
+    position = stance(variant)
+    seen = capsules(model, position[None])
+    assert (seen.ends[0, :, 2] - seen.radii).min() == pytest.approx(0.0, abs=1e-9)
+    for joint in range(3, model.njnt):
+        low, high = model.jnt_range[joint]
+        assert low - 1e-12 <= position[model.jnt_qposadr[joint]] <= high + 1e-12
+
+
+def test_portraits_of_one_row_are_seen_from_one_distance(opengl: str) -> None:
+    from imujoco_minari.rendering.studio import Studio
+
+    with Studio(96, 80, fine=False) as studio:
+        base, long = portraits([HOPPER.base, Variant.parse("hopper-lengthinc_50_leggeom")], studio)
+    assert base.size == long.size == (96, 80)
+    assert np.asarray(base).std() > 5
+    assert not np.array_equal(base, long)
+
+
+def test_the_readmes_picture_is_there() -> None:
+    readme = Path(__file__).parent.parent / "README.md"
+    assert "(docs/images/variants.png)" in readme.read_text("utf-8")
+    with Image.open(readme.parent / "docs" / "images" / "variants.png") as picture:
+        assert picture.width > 1000

@@ -123,32 +123,26 @@ def _panel(
         if captions:
             time = at * motion.timestep
             state = f"{'fell at' if over else 't ='} {time:.2f} s    return {earned[at]:.0f}"
-            picture = _captioned(picture, motion, state)
+            picture = captioned(picture, motion.variant, motion.title, state)
         yield picture
 
 
-def _captioned(picture: Image.Image, motion: Motion, state: str) -> Image.Image:
+def captioned(picture: Image.Image, variant: Variant, title: str = "", state: str = "") -> Image.Image:
+    """Return a picture under a caption: the variant, what it changes, and at the right what is given."""
     strip, size = caption_height(picture.height), picture.height * TEXT
     whole = Image.new("RGB", (picture.width, picture.height + strip), PAPER)
     whole.paste(picture, (0, strip))
     draw = ImageDraw.Draw(whole)
-    variant = motion.variant
     colour = COLOURS.get(variant.category)
     ink = FAINT if colour is None else tuple(round(170 * part) for part in colour)
-    margin, below = size * 0.5, strip * 0.52
-    room = picture.width - 2 * margin
-    width = _write(draw, (margin, strip * 0.08), str(variant), INK, size, room)
-    _write(
-        draw,
-        (picture.width - margin, strip * 0.08),
-        motion.title,
-        FAINT,
-        size * 0.85,
-        room - width,
-        right=True,
-    )
-    width = _write(draw, (margin, below), change(variant), ink, size, room)
-    _write(draw, (picture.width - margin, below), state, INK, size * 0.85, room - width, right=True)
+    margin, above, below = size * 0.5, strip * 0.08, strip * 0.52
+    room, right = picture.width - 2 * margin, picture.width - margin
+    for height, left_text, left_ink, right_text, right_ink in (
+        (above, str(variant), INK, title, FAINT),
+        (below, change(variant), ink, state, INK),
+    ):
+        width = _write(draw, (margin, height), left_text, left_ink, size, room)
+        _write(draw, (right, height), right_text, right_ink, size * 0.85, room - width, right=True)
     return whole
 
 
