@@ -1,0 +1,182 @@
+"""Actors in NumPy act as Stable-Baselines3's do, and foreign files are refused in one line."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from safetensors.numpy import save_file
+
+from imujoco_minari.errors import PolicyError, PolicyNotFoundError
+from imujoco_minari.policies import Actor, RandomPolicy, expert_actor, load_policy, read_actor
+from imujoco_minari.registration import make
+from imujoco_minari.sb3_export import export_zip
+from imujoco_minari.variants import Variant
+
+HOPPER = Variant.parse("hopper-massdec_25_leggeom")
+
+
+def random_actor(observations: int = 11, actions: int = 3, widths: tuple[int, ...] = (256, 256), **fields: Any) -> Actor:
+    rng = np.random.default_rng(0)
+    weights, size = {}, observations
+    for i, width in enumerate(widths):
+        weights[f"latent_pi.{2 * i}.weight"] = rng.normal(size=(width, size)).astype(np.float32) / np.sqrt(size)
+        weights[f"latent_pi.{2 * i}.bias"] = rng.normal(size=width).astype(np.float32) / 10
+        size = width
+    for head in ("mu", "log_std"):
+        weights[f"{head}.weight"] = rng.normal(size=(actions, size)).astype(np.float32) / np.sqrt(size)
+        weights[f"{head}.bias"] = rng.normal(size=actions).astype(np.float32) / 10
+    return Actor(weights, **fields)
+
+
+@pytest.fixture
+def observations() -> Any:
+    return np.random.default_rng(1).normal(size=(50, 11)) * 3
+
+
+@pytest.mark.parametrize(("widths", "activation"), [((256, 256), "ReLU"), ((64,), "Tanh"), ((32, 48, 16), "ELU"), ((40, 40), "SiLU")])
+def test_an_exported_zip_predicts_as_the_actor_acts_and_reads_back(
+    tmp_path: Path, observations: Any, widths: tuple[int, ...], activation: str
+) -> None:
+    from stable_baselines3 import SAC
+
+    actor = random_actor(widths=widths, activation=activation)
+    path = export_zip(HOPPER, tmp_path / "actor", actor)
+    assert path.name == "actor.zip"
+    model = SAC.load(path, device="cpu")
+    rng = np.random.default_rng(0)
+    for observation in observations:
+        predicted, _ = model.predict(observation, deterministic=True)
+        assert actor.act(observation, rng) == pytest.approx(predicted, abs=2e-6)
+    read = read_actor(path)
+    assert read.sha256 == actor.sha256
+    assert read.activation == activation
+    assert read.algorithm == "SAC"
+
+
+def test_a_batch_acts_as_its_rows_do(observations: Any) -> None:
+    actor, rng = random_actor(), np.random.default_rng(0)
+    rows = np.array([actor.act(observation, rng) for observation in observations])
+    assert actor.act(observations, rng) == pytest.approx(rows, abs=1e-6)
+
+
+def test_a_stochastic_actor_samples_about_its_mode_and_repeats_by_seed(observations: Any) -> None:
+    mode, sampler = random_actor(), random_actor(deterministic=False)
+    draws = np.array([sampler.act(observations[0], np.random.default_rng(seed)) for seed in range(400)])
+    again = np.array([sampler.act(observations[0], np.random.default_rng(seed)) for seed in range(400)])
+    assert np.array_equal(draws, again)
+    assert np.ptp(draws, axis=0).min() > 0.1
+    # tanh is monotonic, so the median of the actions is the action of the median.
+    assert np.median(draws, axis=0) == pytest.approx(mode.act(observations[0], np.random.default_rng(0)), abs=0.25)
+
+
+def test_a_random_policy_fills_the_action_space() -> None:
+    policy, rng = RandomPolicy(3), np.random.default_rng(0)
+    actions = np.array([policy.act(np.zeros(11), rng) for _ in range(2000)])
+    assert actions.dtype == np.float32
+    assert np.abs(actions).max() <= 1.0
+    assert actions.mean(axis=0) == pytest.approx(np.zeros(3), abs=0.06)
+    assert actions.var(axis=0) == pytest.approx(np.full(3, 1 / 3), abs=0.03)
+    assert make(HOPPER).action_space.contains(actions[0])
+
+
+def test_a_policy_of_another_robot_is_refused_with_the_robot_that_it_fits(tmp_path: Path) -> None:
+    path = tmp_path / "walker.safetensors"
+    save_file(dict(random_actor(17, 6).weights), path)
+    with pytest.raises(PolicyError, match="maps 17 observations to 6 actions, but hopper has 11 and 3; it fits halfcheetah and walker2d"):
+        load_policy(HOPPER, path=path)
+    assert isinstance(load_policy("walker2d-base", path=path), Actor)
+
+
+def test_a_missing_policy_says_how_to_get_one(tmp_path: Path) -> None:
+    with pytest.raises(PolicyNotFoundError, match="imujoco train hopper-massinc_37_torsogeom"):
+        expert_actor(Variant.parse("hopper-massinc_37_torsogeom"))
+    with pytest.raises(PolicyNotFoundError, match=r"no policy file at .*nothing\.zip"):
+        load_policy(HOPPER, path=tmp_path / "nothing.zip")
+
+
+class Touch:
+    """Unpickling this makes a file."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> Any:
+        return Path.touch, (self.path,)
+
+
+def test_a_zip_whose_pickles_would_act_leaves_no_trace(tmp_path: Path) -> None:
+    import base64
+    import pickle
+
+    import torch
+
+    trace, path = tmp_path / "trace", tmp_path / "evil.zip"
+    evil = pickle.dumps(Touch(trace))
+    good = export_zip(HOPPER, tmp_path / "good.zip", random_actor())
+    with zipfile.ZipFile(good) as source:
+        weights, settings = source.read("policy.pth"), json.loads(source.read("data"))
+    settings["policy_class"] = {":type:": "x", ":serialized:": base64.b64encode(evil).decode()}
+    settings["policy_kwargs"] = {":type:": "x", ":serialized:": base64.b64encode(evil).decode()}
+
+    def write(policy: bytes) -> None:
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr("data", json.dumps(settings))
+            archive.writestr("policy.pth", policy)
+
+    write(weights)
+    assert read_actor(path).observation_size == 11
+    write(evil)
+    with pytest.raises(PolicyError, match="not a readable"):
+        read_actor(path)
+    torch.save({"actor.mu.weight": Touch(trace)}, tmp_path / "evil.pth")
+    write((tmp_path / "evil.pth").read_bytes())
+    with pytest.raises(PolicyError, match="not a readable"):
+        read_actor(path)
+    assert not trace.exists()
+
+
+def test_broken_and_foreign_files_are_named(tmp_path: Path) -> None:
+    good = export_zip(HOPPER, tmp_path / "good.zip", random_actor())
+    cases = {
+        "text.zip": (b"no zip at all", "is no policy"),
+        "cut.zip": (good.read_bytes()[:5000], "is no policy"),
+        "text.safetensors": (b"nor this", "holds no actor"),
+    }
+    for name, (data, message) in cases.items():
+        (tmp_path / name).write_bytes(data)
+        with pytest.raises(PolicyError, match=message):
+            read_actor(tmp_path / name)
+    foreign = tmp_path / "foreign.zip"
+    with zipfile.ZipFile(foreign, "w") as archive:
+        archive.writestr("README", "hello")
+    with pytest.raises(PolicyError, match=r"no policy\.pth inside"):
+        read_actor(foreign)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"mu.weight": np.zeros((3, 7), np.float32)}, "mu: takes 7 inputs"),
+        ({"mu.bias": np.zeros(4, np.float32)}, "mu: weight .* make no layer"),
+        ({"log_std.weight": np.zeros((2, 256), np.float32), "log_std.bias": np.zeros(2, np.float32)}, "3 means but 2"),
+        ({"mu.bias": np.array([0, np.nan, 0], np.float32)}, "not finite"),
+        ({"extra.weight": np.zeros((1, 1), np.float32)}, "extra.weight is unexpected"),
+    ],
+)
+def test_weights_that_make_no_actor_are_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(PolicyError, match=message):
+        Actor(dict(random_actor().weights) | change)
+
+
+def test_the_digest_is_of_all_that_decides_actions() -> None:
+    actor = random_actor()
+    bias = actor.weights["mu.bias"].copy()
+    bias[0] = np.nextafter(bias[0], np.float32(1))
+    changed = Actor(dict(actor.weights) | {"mu.bias": bias})
+    assert random_actor().sha256 == actor.sha256
+    assert len({actor.sha256, changed.sha256, random_actor(activation="Tanh").sha256}) == 3
