@@ -117,6 +117,11 @@ class Arrays:
         return self.variant_index[self.episode_starts]
 
     @property
+    def origins(self) -> list[Origin]:
+        """Variant and tier of each episode."""
+        return [self.table[place] for place in self.episode_variants]
+
+    @property
     def returns(self) -> Array:
         """(E,) float64; the undiscounted return of each episode."""
         return np.add.reduceat(self.rewards, self.episode_starts, dtype=np.float64)
@@ -160,6 +165,10 @@ class Arrays:
         return replace(
             self, episode_starts=starts, **{name: getattr(self, name)[rows] for name in STEP_ARRAYS}
         )
+
+    def portion(self, low: float, high: float, *, seed: int = 0) -> Arrays:
+        """Return a copy of a share of each variant's and tier's episodes, as :func:`arrays` takes it."""
+        return self.select(selection.portion_of(self.origins, (low, high), seed))
 
 
 def arrays(
@@ -222,7 +231,9 @@ def _load(
         found = [episode for source in chosen for episode in selection.episodes(source, files[source])]
         if not found:
             raise DatasetError("the datasets hold no episodes")
-        kept = selection.portion_of(selection.matching(found, where), portion, seed)
+        kept = selection.matching(found, where)
+        share = selection.portion_of([episode.origin for episode in kept], portion, seed)
+        kept = [kept[place] for place in share]
         result = _fill(kept, files, dtype)
     if normalize is False:
         return result

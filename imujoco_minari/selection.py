@@ -8,7 +8,7 @@ others, or as part of a collection.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -159,11 +159,11 @@ def matching(found: Sequence[Episode], where: Mapping[str, Any]) -> list[Episode
     return chosen
 
 
-def portion_of(found: Sequence[Episode], portion: tuple[float, float], seed: int) -> list[Episode]:
-    """Return a share of each origin's episodes, in their order.
+def portion_of(origins: Sequence[Origin], portion: tuple[float, float], seed: int) -> list[int]:
+    """Return which episodes make a share of each origin's, in their order.
 
     Args:
-        found: the episodes.
+        origins: of each episode.
         portion: from and to, of the episodes shuffled by ``seed``; (0, 0.75) and (0.75, 1) make two
             disjoint shares that together are all.
         seed: of the shuffle.
@@ -174,27 +174,28 @@ def portion_of(found: Sequence[Episode], portion: tuple[float, float], seed: int
     low, high = portion
     if not 0 <= low < high <= 1:
         raise DatasetError(f"portion must lie in 0 to 1, as (0.0, 0.75) does, not {portion}")
-    if portion == (0, 1):
-        return list(found)
-    places: dict[Origin, list[int]] = {}
-    for place, episode in enumerate(found):
-        places.setdefault(episode.origin, []).append(place)
+    if (low, high) == (0, 1):
+        return list(range(len(origins)))
     chosen: list[int] = []
-    for origin, members in places.items():
-        order = generator(seed, origin).permutation(len(members))
-        chosen += (members[i] for i in order[int(low * len(order) + 0.5) : int(high * len(order) + 0.5)])
+    for order in shuffled(origins, seed):
+        chosen += order[int(low * len(order) + 0.5) : int(high * len(order) + 0.5)]
     if not chosen:
-        raise DatasetError(f"no episode falls into the portion {portion} of {len(found)}")
-    return [found[place] for place in sorted(chosen)]
+        raise DatasetError(f"no episode falls into the portion {portion} of {len(origins)}")
+    return sorted(chosen)
 
 
-def generator(seed: int, origin: Origin) -> np.random.Generator:
-    """Return the random generator that belongs to a seed and an origin's variant and tier.
+def shuffled(origins: Sequence[Origin], seed: int) -> Iterator[list[int]]:
+    """Yield, for each origin, which episodes are its, in an order drawn by ``seed``.
 
     Raises:
         DatasetError: when the seed is negative.
     """
     if seed < 0:
         raise DatasetError(f"a seed is not negative, as {seed} is")
-    digest = hashlib.sha256(f"{origin.variant} {origin.tier}".encode()).digest()
-    return np.random.default_rng([seed, int.from_bytes(digest[:8], "little")])
+    places: dict[Origin, list[int]] = {}
+    for place, origin in enumerate(origins):
+        places.setdefault(origin, []).append(place)
+    for origin, members in places.items():
+        digest = hashlib.sha256(f"{origin.variant} {origin.tier}".encode()).digest()
+        rng = np.random.default_rng([seed, int.from_bytes(digest[:8], "little")])
+        yield [members[i] for i in rng.permutation(len(members))]

@@ -1,0 +1,127 @@
+"""RLDS episodes as TFRecords, with the two JSON files by which TensorFlow Datasets reads a folder.
+
+``tensorflow_datasets.builder_from_directory(folder)`` opens it; writing needs no TensorFlow. An episode
+of T steps has T + 1, the last with its final observation, and with zeros for action and reward, which
+RLDS ignores there. It was truncated where that step ``is_last`` and not ``is_terminal``. Numbers are in
+float32, which is all that ``tf.train.Example`` holds; otherwise nothing is lost.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from imujoco_minari.arrays import Arrays, Trajectory
+from imujoco_minari.exporting.tfrecord import example, record
+from imujoco_minari.selection import ATTRIBUTES, Origin
+
+VERSION = "1.0.0"
+# A file that grows beyond this (bytes) is the last but one.
+_SHARD = 2**28
+
+_FEATURES = "tensorflow_datasets.core.features"
+
+
+def write(data: Arrays, target: Path, *, states_only: bool) -> None:
+    """Write ``data`` to the folder ``target``."""
+    target.mkdir()
+    name = "imujoco_" + (data.table[0].variant if len(data.table) == 1 else data.table[0].robot)
+    name = name.replace("-", "_")
+    records: list[bytes] = []
+    lengths: list[int] = []
+    size = written = 0
+    # Files say in their names how many there are, which is known at the end.
+    for number, (episode, origin) in enumerate(zip(data.trajectories(), data.origins, strict=True)):
+        message = _episode(episode, origin, number, states_only)
+        records.append(record(message))
+        size += len(message)
+        if size > _SHARD or number == data.episodes - 1:
+            (target / f"{len(lengths)}.part").write_bytes(b"".join(records))
+            lengths.append(len(records))
+            written += size
+            records, size = [], 0
+    for number in range(len(lengths)):
+        shard = f"{name}-train.tfrecord-{number:05d}-of-{len(lengths):05d}"
+        (target / f"{number}.part").rename(target / shard)
+    _json(target / "dataset_info.json", _info(name, data, lengths, written))
+    _json(target / "features.json", _features(data, states_only))
+
+
+def _episode(episode: Trajectory, origin: Origin, number: int, states_only: bool) -> bytes:
+    steps = len(episode.rewards)
+    first, last = np.zeros(steps + 1, bool), np.zeros(steps + 1, bool)
+    first[0] = last[-1] = True
+    features: dict[str, Any] = {
+        "steps/observation": episode.observations,
+        "steps/is_first": first,
+        "steps/is_last": last,
+        "steps/is_terminal": last & episode.terminated,
+        "steps/discount": np.where(last & episode.terminated, 0.0, 1.0),
+        "metadata/episode": np.array([number]),
+    }
+    if not states_only:
+        features["steps/action"] = np.concatenate((episode.actions, np.zeros_like(episode.actions[:1])))
+        features["steps/reward"] = np.append(episode.rewards, 0.0)
+    for name in ATTRIBUTES:
+        value = getattr(origin, name)
+        features[f"metadata/{name}"] = value if isinstance(value, str) else np.array([value])
+    return example(features)
+
+
+def _info(name: str, data: Arrays, lengths: list[int], size: int) -> dict[str, Any]:
+    return {
+        "description": "iMuJoCo, rebuilt: " + ", ".join(origin.variant for origin in data.table[:10]),
+        "fileFormat": "tfrecord",
+        "name": name,
+        "version": VERSION,
+        "splits": [
+            {
+                "filepathTemplate": "{DATASET}-{SPLIT}.{FILEFORMAT}-{SHARD_X_OF_Y}",
+                "name": "train",
+                "numBytes": str(size),
+                "shardLengths": [str(length) for length in lengths],
+            }
+        ],
+    }
+
+
+def _features(data: Arrays, states_only: bool) -> dict[str, Any]:
+    flag, number = _tensor("bool"), _tensor("float32")
+    step = {
+        "observation": _tensor("float32", data.observations.shape[1]),
+        "discount": number,
+        "is_first": flag,
+        "is_last": flag,
+        "is_terminal": flag,
+    }
+    if not states_only:
+        step |= {"action": _tensor("float32", data.actions.shape[1]), "reward": number}
+    text = {"pythonClassName": f"{_FEATURES}.text_feature.Text", "text": {}}
+    metadata = {name: _tensor("int64") if name == "percent" else text for name in ATTRIBUTES}
+    steps = {
+        "pythonClassName": f"{_FEATURES}.dataset_feature.Dataset",
+        "sequence": {"feature": _dict(step), "length": "-1"},
+    }
+    return _dict({"steps": steps, "metadata": _dict(metadata | {"episode": _tensor("int64")})})
+
+
+def _tensor(dtype: str, *shape: int) -> dict[str, Any]:
+    dimensions = {"dimensions": [str(size) for size in shape]} if shape else {}
+    return {
+        "pythonClassName": f"{_FEATURES}.tensor_feature.Tensor",
+        "tensor": {"dtype": dtype, "encoding": "none", "shape": dimensions},
+    }
+
+
+def _dict(features: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "pythonClassName": f"{_FEATURES}.features_dict.FeaturesDict",
+        "featuresDict": {"features": features},
+    }
+
+
+def _json(path: Path, content: dict[str, Any]) -> None:
+    path.write_text(json.dumps(content, indent=2) + "\n", "utf-8")

@@ -1,0 +1,219 @@
+"""Batches out of arrays: transitions, windows and episodes, all seeded.
+
+:class:`Sampler` is the convenience that the original benchmark shipped, so many whole episodes of one
+variant: by episode instead of by a thousand rows, seeded, and with a mask where an episode ends early.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imujoco_minari.arrays import Arrays, arrays
+from imujoco_minari.errors import DatasetError, VariantError, suggestion
+
+if TYPE_CHECKING:
+    from imujoco_minari.selection import Datasets
+
+Array = NDArray[Any]
+
+
+class Transitions(NamedTuple):
+    """B steps: each array as in :class:`~imujoco_minari.arrays.Arrays`, (B, ...)."""
+
+    observations: Array
+    actions: Array
+    rewards: Array
+    next_observations: Array
+    terminations: Array
+    truncations: Array
+    variant_index: Array
+
+
+class Windows(NamedTuple):
+    """B stretches of L successive steps of one episode each: (B, L, ...).
+
+    ``mask`` (B, L) is true where there is a step; beyond an episode's end everything is zero.
+    ``timesteps`` (B, L) counts from the episode's start.
+    """
+
+    observations: Array
+    actions: Array
+    rewards: Array
+    timesteps: Array
+    variant_index: Array
+    mask: Array
+
+
+class Shots(NamedTuple):
+    """Whole episodes: observations (shots, horizon, obs) and actions (shots, horizon, act), float32.
+
+    ``mask`` (shots, horizon) is true where there is a step; beyond an episode's end everything is zero.
+    """
+
+    observations: Any
+    actions: Any
+    mask: Any
+
+
+class Sampler:
+    """Draws whole episodes of one variant, as the original benchmark's sampler does.
+
+    Args:
+        data: arrays, or datasets or their ids.
+        portion: share of each variant's episodes to draw from: (0, 0.75) to train, (0.75, 1) to test.
+        seed: of the split and of all draws. Samplers of one seed and disjoint portions share no episode.
+        horizon: steps an episode is padded or cut to.
+        where: keep the episodes with these attributes (see :func:`~imujoco_minari.arrays.arrays`).
+        torch: return torch tensors instead of NumPy arrays.
+
+    Attributes:
+        arrays: what it draws from.
+    """
+
+    def __init__(
+        self,
+        data: Arrays | Datasets,
+        *,
+        portion: tuple[float, float] = (0.0, 0.75),
+        seed: int = 0,
+        horizon: int = 1000,
+        where: Mapping[str, Any] | None = None,
+        torch: bool = False,
+    ) -> None:
+        if horizon < 1:
+            raise DatasetError(f"horizon must be at least 1, not {horizon}")
+        if not isinstance(data, Arrays):
+            data = arrays(data, where=where, portion=portion, seed=seed, dtype=np.float32)
+        elif where:
+            raise DatasetError("arrays are filtered when they are loaded: give `where` to arrays()")
+        else:
+            data = data.portion(*portion, seed=seed)
+        self.arrays = data
+        self._horizon, self._torch = horizon, torch
+        self._rng = np.random.default_rng(seed)
+
+    def __len__(self) -> int:
+        """The number of variants (and tiers) to draw from."""
+        return len(self.arrays.table)
+
+    def sample(self, tot_shots: int = 5, idx: int | str | None = None, replace: bool = False) -> Shots:
+        """Draw episodes of one variant.
+
+        Args:
+            tot_shots: how many.
+            idx: which variant, by its number in ``arrays.table`` or its id; None draws one.
+            replace: whether an episode may be drawn twice.
+
+        Raises:
+            VariantError: when there is no such variant.
+            DatasetError: when the variant has fewer episodes than asked for without replacement.
+        """
+        place = int(self._rng.integers(len(self))) if idx is None else self._place(idx)
+        episodes = np.flatnonzero(self.arrays.episode_variants == place)
+        if tot_shots < 1 or (tot_shots > len(episodes) and not replace):
+            raise DatasetError(
+                f"{self.arrays.table[place].variant} has {len(episodes)} episodes in this portion: "
+                f"{tot_shots} cannot be drawn{'' if tot_shots < 1 else ' without replacement'}"
+            )
+        drawn = self._rng.choice(episodes, size=tot_shots, replace=replace)
+        windows = gather_windows(self.arrays, self.arrays.episode_starts[drawn], self._horizon)
+        shots = Shots(
+            windows.observations.astype(np.float32, copy=False),
+            windows.actions.astype(np.float32, copy=False),
+            windows.mask,
+        )
+        return Shots(*map(_tensor, shots)) if self._torch else shots
+
+    def _place(self, idx: int | str) -> int:
+        if isinstance(idx, str):
+            names = [origin.variant for origin in self.arrays.table]
+            if idx not in names:
+                raise VariantError(
+                    f"the sampler has no variant {idx!r}{suggestion(idx, names)}; it has {', '.join(names)}"
+                )
+            return names.index(idx)
+        if not 0 <= idx < len(self):
+            raise VariantError(f"variant {idx} is none of the sampler's, 0 to {len(self) - 1}")
+        return int(idx)
+
+
+def gather_transitions(data: Arrays, rows: Array | slice) -> Transitions:
+    """Return the transitions of these rows."""
+    return Transitions(*(getattr(data, name)[rows] for name in Transitions._fields))
+
+
+def gather_windows(data: Arrays, starts: Array, length: int) -> Windows:
+    """Return the windows of ``length`` steps that begin at the rows ``starts``, padded with zeros."""
+    starts = np.asarray(starts, dtype=np.int64)
+    episodes = np.searchsorted(data.episode_starts, starts, side="right") - 1
+    rows = starts[:, None] + np.arange(length)
+    mask = rows < data.episode_ends[episodes][:, None]
+    # A row beyond the end reads the window's first, and is then blanked.
+    rows = np.where(mask, rows, starts[:, None])
+    timesteps = rows - data.episode_starts[episodes][:, None]
+    names = ("observations", "actions", "rewards")
+    observations, actions, rewards = (getattr(data, name)[rows] for name in names)
+    for column in (observations, actions, rewards, timesteps):
+        column[~mask] = 0
+    return Windows(observations, actions, rewards, timesteps, data.variant_index[starts], mask)
+
+
+def window_starts(data: Arrays, length: int, *, padded: bool = False) -> Array:
+    """Return the rows at which a window of ``length`` steps may begin.
+
+    Args:
+        data: the arrays.
+        length: steps of a window.
+        padded: any row, the window then ends with its episode; otherwise those with ``length`` steps left.
+
+    Raises:
+        DatasetError: when no episode is so long.
+    """
+    if length < 1:
+        raise DatasetError(f"a window has at least one step, not {length}")
+    if padded:
+        return np.arange(len(data))
+    left = np.repeat(data.episode_ends, data.episode_lengths) - np.arange(len(data))
+    starts = np.flatnonzero(left >= length)
+    if not len(starts):
+        raise DatasetError(
+            f"no episode has {length} steps, the longest has {data.episode_lengths.max()}: "
+            "shorten the window, or pad it"
+        )
+    return starts
+
+
+def transition_batches(data: Arrays, batch_size: int, *, seed: int = 0) -> Iterator[Transitions]:
+    """Yield all steps once, in an order drawn by ``seed``, as batches; the last may be smaller."""
+    return (gather_transitions(data, rows) for rows in _batches(np.arange(len(data)), batch_size, seed))
+
+
+def window_batches(
+    data: Arrays, length: int, batch_size: int, *, seed: int = 0, padded: bool = False
+) -> Iterator[Windows]:
+    """Yield all windows of ``length`` steps once, in an order drawn by ``seed``, as batches."""
+    starts = window_starts(data, length, padded=padded)
+    return (gather_windows(data, batch, length) for batch in _batches(starts, batch_size, seed))
+
+
+def episode_batches(data: Arrays, batch_size: int, *, seed: int = 0) -> Iterator[Windows]:
+    """Yield all episodes once, in an order drawn by ``seed``, padded to the longest of their batch."""
+    for batch in _batches(np.arange(data.episodes), batch_size, seed):
+        yield gather_windows(data, data.episode_starts[batch], int(data.episode_lengths[batch].max()))
+
+
+def _batches(items: Array, batch_size: int, seed: int) -> Iterator[Array]:
+    if batch_size < 1:
+        raise DatasetError(f"a batch holds at least one, not {batch_size}")
+    order = np.random.default_rng(seed).permutation(items)
+    return (order[start : start + batch_size] for start in range(0, len(order), batch_size))
+
+
+def _tensor(array: Array) -> Any:
+    import torch
+
+    return torch.from_numpy(array)
