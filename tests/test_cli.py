@@ -1,0 +1,123 @@
+"""The command line: what people see, what scripts read, and how it fails."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import minari
+import pytest
+from safetensors.numpy import save_file
+from test_policies import random_actor
+
+from imujoco_minari.cli.app import run
+
+
+def test_list_counts_the_catalogue(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["list"]) == 0
+    out = capsys.readouterr().out
+    assert "154 variants and 3 bases" in out
+    assert "hopper-massdec_25_leggeom" in out
+    assert run(["list", "--robot", "walker2d", "--category", "length", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert len(rows) == 14
+    assert {row["robot"] for row in rows} == {"walker2d"}
+
+
+def test_show_tells_the_change_in_numbers(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["show", "hopper-massdec_25_leggeom", "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert shown["dataset"] == "imujoco/hopper-massdec_25_leggeom-v0"
+    (change,) = shown["changes"]
+    assert change["quantity"] == "mass of leg"
+    assert change["after"] / change["before"] == pytest.approx(0.75)
+    assert run(["show", "halfcheetah-frictiondec_50_feet"]) == 0
+    out = capsys.readouterr().out
+    assert "friction of ffoot on floor   0.4      0.2" in out
+
+
+def test_publish_verify_combine(capsys: pytest.CaptureFixture[str], root: Path) -> None:
+    assert run(["publish", "--robot", "hopper", "--category", "friction", "--tier", "random", "--episodes", "2"]) == 0
+    captured = capsys.readouterr()
+    assert captured.out.count("published imujoco/hopper-friction") == 3
+    assert "3 published, 0 there already, 0 failed" in captured.err
+    assert run(["publish", "hopper-frictiondec_50_feet", "--tier", "random"]) == 0
+    assert "left alone imujoco/hopper-frictiondec_50_feet-random-v0" in capsys.readouterr().out
+    assert run(["combine", "--robot", "hopper", "--tier", "random"]) == 0
+    assert "combined 3 datasets into imujoco/hopper-all-random-v0: 6 episodes" in capsys.readouterr().out
+    assert run(["combine", "--robot", "hopper", "--tier", "random"]) == 1
+    assert "already there" in capsys.readouterr().err
+    assert run(["verify", *minari.list_local_datasets()]) == 0
+    assert capsys.readouterr().out.count(": sound") == 4
+
+
+def test_verify_fails_on_damage(capsys: pytest.CaptureFixture[str], root: Path) -> None:
+    import h5py
+
+    assert run(["publish", "hopper-base", "--tier", "random", "--episodes", "2", "--json"]) == 0
+    (outcome,) = json.loads(capsys.readouterr().out)
+    with h5py.File(Path(outcome["path"]) / "data" / "main_data.hdf5", "a") as file:
+        file["episode_1/rewards"][3] += 1e-12
+    assert run(["verify", outcome["dataset_id"], "--json"]) == 1
+    findings = json.loads(capsys.readouterr().out)[outcome["dataset_id"]]
+    assert any(finding["where"].startswith("episode_1/rewards") for finding in findings)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["show", "hoper-massdec_25_leggeom"], 2, "did you mean 'hopper'"),
+        (["list", "--robot", "ant"], 2, "valid: hopper, halfcheetah, walker2d"),
+        (["list", "--category", "gravity"], 2, "valid: mass, joint, length, friction"),
+        (["show", "hopper-massdec_100_leggeom"], 2, "percent -100"),
+        (["show", "hopper-jointinc_25_legjoint"], 2, "can only shrink"),
+        (["publish"], 2, "name a variant"),
+        (["publish", "hopper-base", "--episodes", "0"], 2, "--episodes"),
+        (["publish", "hopper-base", "--tier", "No Tier"], 2, "malformed tier"),
+        (["publish", "hopper-massinc_37_torsogeom"], 1, "imujoco train hopper-massinc_37_torsogeom"),
+        (["publish", "hopper-base", "--policy", "missing.zip"], 1, "no policy file at missing.zip"),
+        (["verify", "imujoco/nothing-v0"], 1, "not in the Minari root"),
+        (["verify", "../../etc-v0"], 1, "malformed dataset id"),
+        (["combine", "--robot", "hopper"], 1, "imujoco publish --robot hopper"),
+        (["combine", "a/b-v0"], 2, "--id"),
+        (["policy", "export", "hopper-massinc_37_torsogeom", "x.zip"], 1, "imujoco train"),
+    ],
+)
+def test_a_mistake_gets_one_clear_line_and_a_code(
+    capsys: pytest.CaptureFixture[str], arguments: list[str], code: int, words: str
+) -> None:
+    assert run(arguments) == code
+    captured = capsys.readouterr()
+    assert words in " ".join(captured.err.split())
+    assert "Traceback" not in captured.err
+    if captured.err.startswith("error:"):
+        assert captured.err.count("\n") == 1
+
+
+def test_a_policy_of_another_robot_fails_and_leaves_nothing(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, root: Path
+) -> None:
+    path = tmp_path / "walker.safetensors"
+    save_file(dict(random_actor(17, 6).weights), path)
+    assert run(["publish", "hopper-base", "--tier", "mine", "--policy", str(path)]) == 1
+    assert "it fits halfcheetah and walker2d" in capsys.readouterr().err
+    assert minari.list_local_datasets() == {}
+
+
+def test_a_root_that_cannot_be_written_is_named(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("in the way")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(blocked / "minari"))
+    assert run(["publish", "hopper-base", "--tier", "random", "--episodes", "1"]) == 1
+    err = capsys.readouterr().err
+    assert str(blocked) in err
+    assert err.count("\n") == 1
+
+
+def test_the_module_runs_as_the_command() -> None:
+    done = subprocess.run([sys.executable, "-m", "imujoco_minari", "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("imujoco-minari ")

@@ -1,0 +1,174 @@
+"""A published dataset is a stock Minari dataset, complete, and the same however it was made."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import gymnasium as gym
+import h5py
+import minari
+import numpy as np
+import pytest
+from safetensors.numpy import save_file
+from test_policies import random_actor
+
+import imujoco_minari
+from imujoco_minari.errors import DatasetError, PolicyNotFoundError
+from imujoco_minari.mjcf import canonical_mjcf
+from imujoco_minari.publishing import Recipe, publish, publish_all
+from imujoco_minari.variants import Variant, catalogue
+
+ID = "imujoco/hopper-massdec_25_leggeom-mine-v0"
+KEYS = {
+    "variant": "hopper-massdec_25_leggeom",
+    "robot": "hopper",
+    "category": "mass",
+    "body": "leggeom",
+    "percent": -25,
+    "tier": "mine",
+}
+
+
+@pytest.fixture
+def actor(tmp_path: Path) -> Path:
+    path = tmp_path / "actor.safetensors"
+    save_file(dict(random_actor().weights), path)
+    return path
+
+
+@pytest.fixture
+def dataset(root: Path, actor: Path) -> minari.MinariDataset:
+    outcome = publish("hopper-massdec_25_leggeom", tier="mine", policy=actor, episodes=6, seed=3)
+    assert outcome.created
+    assert outcome.path == root / ID
+    return minari.load_dataset(ID)
+
+
+def test_stock_minari_sees_all_of_it(dataset: minari.MinariDataset) -> None:
+    listed = minari.list_local_datasets()
+    assert list(listed) == [ID]
+    assert KEYS.items() <= listed[ID].items()
+    assert dataset.total_episodes == len(dataset) == 6
+    episodes = list(dataset.iterate_episodes())
+    assert dataset.total_steps == sum(len(episode) for episode in episodes)
+    assert episodes[0].observations.shape == (len(episodes[0]) + 1, 11)
+    assert episodes[0].observations.dtype == np.float64
+    assert episodes[0].actions.dtype == np.float32
+    assert len(dataset.sample_episodes(3)) == 3
+    train, test = minari.split_dataset(dataset, [4, 2], seed=0)
+    assert (len(train), len(test)) == (4, 2)
+    assert dataset.filter_episodes(lambda episode: episode.id < 2).total_episodes == 2
+
+
+def test_attributes_are_on_the_root_and_on_every_episode(dataset: minari.MinariDataset) -> None:
+    with h5py.File(dataset.storage.data_path / "main_data.hdf5") as file:
+        assert {key: file.attrs[key] for key in KEYS} == KEYS
+        assert file.attrs["mjcf"] == canonical_mjcf(Variant.parse("hopper-massdec_25_leggeom"))
+        seeds = set()
+        for number in range(6):
+            attrs = file[f"episode_{number}"].attrs
+            assert {key: attrs[key] for key in KEYS} == KEYS
+            assert attrs["rewards_sum"] == pytest.approx(file[f"episode_{number}/rewards"][()].sum())
+            seeds.add(int(attrs["seed"]))
+    assert len(seeds) == 6
+
+
+def test_the_metadata_says_how_it_was_made(dataset: minari.MinariDataset) -> None:
+    metadata = dataset.storage.metadata
+    assert f"mujoco=={importlib.metadata.version('mujoco')}" in metadata["requirements"]
+    assert metadata["algorithm_name"] == "SAC"
+    assert metadata["policy_deterministic"] is True
+    assert metadata["policy_sha256"] == random_actor().sha256
+    assert metadata["seed"] == 3
+    assert metadata["author"]
+    assert metadata["code_permalink"]
+    assert "leg_geom changed by -25 %" in metadata["description"]
+    # Without an expert there is a lowest reference, measured, and no highest.
+    assert 0 < metadata["ref_min_score"] < 100
+
+
+def test_the_environment_is_recovered_by_a_process_that_knows_nothing_of_us(dataset: minari.MinariDataset) -> None:
+    code = (
+        "import minari, sys\n"
+        f"env = minari.load_dataset({ID!r}).recover_environment()\n"
+        "assert env.unwrapped.variant.body == 'leggeom'\n"
+        "print(env.spec.id, env.reset(seed=0)[0].shape)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "imujoco/hopper-massdec_25_leggeom-v0 (11,)"
+    spec = json.loads((dataset.storage.data_path / "metadata.json").read_text())["env_spec"]
+    assert json.loads(spec)["kwargs"] == {"variant": "hopper-massdec_25_leggeom"}
+    assert dataset.env_spec == gym.spec("imujoco/hopper-massdec_25_leggeom-v0")
+
+
+def test_the_episodes_are_those_of_the_policy_in_the_environment(dataset: minari.MinariDataset) -> None:
+    actor, rng = random_actor(), np.random.default_rng(0)
+    env = imujoco_minari.make("hopper-massdec_25_leggeom")
+    metadata = list(dataset.storage.get_episode_metadata(range(6)))
+    for episode, attrs in zip(dataset, metadata, strict=True):
+        observation, _ = env.reset(seed=attrs["seed"])
+        for step in range(len(episode)):
+            assert np.array_equal(observation, episode.observations[step])
+            # Actors may be evaluated in batches, which round otherwise in the last bits.
+            assert episode.actions[step] == pytest.approx(actor.act(observation, rng), abs=1e-5)
+            observation, reward, terminated, truncated, _ = env.step(episode.actions[step])
+            assert (reward, terminated, truncated) == (
+                episode.rewards[step],
+                episode.terminations[step],
+                episode.truncations[step],
+            )
+        assert np.array_equal(observation, episode.observations[-1])
+
+
+def test_the_content_does_not_depend_on_the_number_of_jobs_nor_on_the_time(dataset: minari.MinariDataset, actor: Path) -> None:
+    digest = dataset.storage.metadata["content_sha256"]
+    options = {"tier": "mine", "policy": actor, "seed": 3, "force": True}
+    for jobs in (1, 2):
+        assert publish("hopper-massdec_25_leggeom", episodes=6, jobs=jobs, **options).content_sha256 == digest
+    assert publish("hopper-massdec_25_leggeom", episodes=5, **options).content_sha256 != digest
+    options["seed"] = 4
+    assert publish("hopper-massdec_25_leggeom", episodes=6, **options).content_sha256 != digest
+
+
+def test_what_is_there_is_left_alone(dataset: minari.MinariDataset, actor: Path) -> None:
+    file = dataset.storage.data_path / "main_data.hdf5"
+    before = (file.stat().st_ino, file.stat().st_mtime_ns)
+    outcome = publish("hopper-massdec_25_leggeom", tier="mine", policy=actor, episodes=2)
+    assert not outcome.created
+    assert outcome.episodes == 6
+    assert (file.stat().st_ino, file.stat().st_mtime_ns) == before
+
+
+def test_many_are_published_and_a_failure_among_them_is_told(root: Path, actor: Path) -> None:
+    recipes = [Recipe(variant, "random", episodes=2) for variant in catalogue("hopper", "friction")]
+    recipes.insert(1, Recipe(Variant.parse("walker2d-base"), "mine", episodes=2, policy=actor))
+    outcomes = list(publish_all(recipes))
+    assert [bool(outcome.error) for outcome in outcomes] == [False, True, False, False]
+    assert "walker2d has 17 and 6" in outcomes[1].error
+    assert len(minari.list_local_datasets()) == 3
+    assert sorted(path.name for path in root.iterdir()) == ["imujoco"]
+
+
+def test_a_failure_leaves_nothing_behind(root: Path) -> None:
+    with pytest.raises(PolicyNotFoundError, match="train one"):
+        publish("hopper-massinc_37_torsogeom")
+    assert not list(root.rglob("*.hdf5"))
+    assert minari.list_local_datasets() == {}
+
+
+def test_random_data_spans_the_action_space_and_repeats() -> None:
+    outcome = publish("halfcheetah-massdec_25_bfoot", tier="random", episodes=1)
+    actions = minari.load_dataset(outcome.dataset_id)[0].actions
+    assert actions.shape == (1000, 6)
+    assert np.abs(actions.mean(axis=0)).max() < 0.1
+    assert minari.load_dataset(outcome.dataset_id).storage.metadata["policy_deterministic"] is False
+
+
+@pytest.mark.parametrize("fields", [{"episodes": 0}, {"seed": -1}])
+def test_a_recipe_that_makes_no_sense_is_refused(fields: dict[str, int]) -> None:
+    with pytest.raises(DatasetError):
+        Recipe(Variant.parse("hopper-base"), **fields)
