@@ -58,12 +58,16 @@ def publish_datasets(
 
     chosen = select(variants or [], robot, category, everything)
     recipes = [Recipe(variant, tier, episodes, seed, policy, stochastic) for variant in chosen]
-    outcomes = _publish(recipes, jobs, force, as_json)
+    finish(_publish(recipes, jobs, force, as_json), as_json)
+
+
+def finish(outcomes: list[Published], as_json: bool) -> None:
+    """Print what is left to say of a batch, its failures last, and exit with 1 when there are any."""
     if as_json:
         print_json([vars(outcome) for outcome in outcomes])
     failures = [outcome for outcome in outcomes if outcome.error]
     for outcome in failures:
-        fail(f"{outcome.dataset_id}: {outcome.error}" if len(recipes) > 1 else outcome.error)
+        fail(f"{outcome.dataset_id}: {outcome.error}" if len(outcomes) > 1 else outcome.error)
     if len(outcomes) > 1:
         made = sum(outcome.created for outcome in outcomes)
         say(f"{made} published, {len(outcomes) - made - len(failures)} there already, {len(failures)} failed")
@@ -96,17 +100,18 @@ def _publish(recipes: list[Recipe], jobs: int, force: bool, quiet: bool) -> list
                 outcomes = [publish(recipes[0], jobs=jobs, force=force, on_episode=advance)]
             except ImujocoError as error:
                 outcomes = [Published(recipes[0].dataset_id, error=str(error))]
-        _report(outcomes[0], quiet)
+        report(outcomes[0], quiet)
         return outcomes
     with progress("publishing", len(recipes), quiet=quiet) as advance:
         for outcome in publish_all(recipes, jobs=jobs, force=force):
             outcomes.append(outcome)
-            _report(outcome, quiet)
+            report(outcome, quiet)
             advance()
     return outcomes
 
 
-def _report(outcome: Published, quiet: bool) -> None:
+def report(outcome: Published, quiet: bool) -> None:
+    """Print what became of one dataset, unless it failed or ``quiet`` is set."""
     if quiet or outcome.error:
         return
     if outcome.created:

@@ -17,7 +17,7 @@ from minari.data_collector import EpisodeBuffer
 from imujoco_minari import content
 from imujoco_minari.errors import DatasetError, ImujocoError
 from imujoco_minari.importing.archive import Archive
-from imujoco_minari.importing.columns import Layout, read_table
+from imujoco_minari.importing.columns import ARRAY, Layout, read_table
 from imujoco_minari.importing.original import CATALOGUE, ORIGINAL, RECOLLECTED, OriginalVariant
 from imujoco_minari.importing.physics import Physics
 from imujoco_minari.importing.safe_unpack import Array, read_npz
@@ -30,7 +30,6 @@ from imujoco_minari.variants import EXPERT
 AUTHORS = frozenset({"Massimiliano Patacchiola", "Mingfei Sun", "Katja Hofmann", "Richard E. Turner"})
 CODE = "https://github.com/mpatacchiola/imujoco"
 SOURCE = "the iMuJoCo archive (Zenodo record 7971395, Apache-2.0)"
-ARRAY = "data"
 REFERENCE_EPISODES = 100
 
 
@@ -93,6 +92,7 @@ def import_variant(archive: Archive, variant: OriginalVariant, how: Import) -> P
         metadata = _common(variant, spec, source) | {
             "algorithm_name": "SAC",
             "description": _description(variant, layout, transitions, found),
+            **_reference_maximum(transitions, found),
             "source": f"dataset/sac-{variant}.npz",
             "source_sha256": digest,
             "source_columns": str(layout),
@@ -186,6 +186,22 @@ def _common(variant: OriginalVariant, spec: EnvSpec, source: str) -> dict[str, A
         "ref_min_evaluation": random.asdict(),
         "requirements": [f"{name}=={version(name)}" for name in ("mujoco", "gymnasium")],
         "versions": {name: version(name) for name in names},
+    }
+
+
+def _reference_maximum(transitions: Transitions, found: Cut) -> dict[str, Any]:
+    """Return the archive's own mean return as the score of its expert, where the archive has rewards."""
+    if transitions.rewards is None:
+        return {}
+    returns = [float(transitions.rewards[start:stop].sum()) for start, stop in found.bounds]
+    return {
+        "ref_max_score": float(np.mean(returns)),
+        "ref_max_evaluation": {
+            "episodes": len(returns),
+            "return_mean": float(np.mean(returns)),
+            "return_std": float(np.std(returns)),
+            "source": "this dataset's own episodes",
+        },
     }
 
 

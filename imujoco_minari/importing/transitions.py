@@ -37,6 +37,7 @@ class Transitions:
         ends: ``(n,)``, whether the source marks the step as its episode's last.
         terminated: ``(n,)``, whether the source says that the step ended in a terminal state; None where
             it does not tell terminations from time limits.
+        truncated: ``(n,)``, whether the source says that the step was the last by a time limit, or None.
         rewards: ``(n,)``, float64, or None.
         next_observations: like ``observations``, what followed each step, or None.
     """
@@ -45,6 +46,7 @@ class Transitions:
     actions: Array
     ends: Array
     terminated: Array | None = None
+    truncated: Array | None = None
     rewards: Array | None = None
     next_observations: Array | None = None
 
@@ -83,6 +85,7 @@ def checked(transitions: Transitions, robot: str, name: str) -> Transitions:
         ("next observations", transitions.next_observations, (rows, sizes[0])),
         ("ends", transitions.ends, (rows,)),
         ("terminations", transitions.terminated, (rows,)),
+        ("truncations", transitions.truncated, (rows,)),
     ):
         if array is None:
             continue
@@ -99,10 +102,15 @@ def checked(transitions: Transitions, robot: str, name: str) -> Transitions:
         transitions.observations.astype(np.float64),
         transitions.actions.astype(np.float32),
         transitions.ends.astype(bool),
-        None if transitions.terminated is None else transitions.terminated.astype(bool),
-        None if transitions.rewards is None else transitions.rewards.astype(np.float64),
-        None if transitions.next_observations is None else transitions.next_observations.astype(np.float64),
+        _cast(transitions.terminated, bool),
+        _cast(transitions.truncated, bool),
+        _cast(transitions.rewards, np.float64),
+        _cast(transitions.next_observations, np.float64),
     )
+
+
+def _cast(array: Array | None, dtype: Any) -> Array | None:
+    return None if array is None else array.astype(dtype)
 
 
 def cut(transitions: Transitions, physics: Physics) -> Cut:
@@ -157,7 +165,7 @@ def episodes(transitions: Transitions, cut: Cut, physics: Physics) -> Iterator[E
         )
         terminations, truncations = np.zeros(stop - start, bool), np.zeros(stop - start, bool)
         terminations[-1] = _terminated(transitions, start, stop, final, physics)
-        truncations[-1] = stop - start == MAX_EPISODE_STEPS or not terminations[-1]
+        truncations[-1] = not terminations[-1] or _truncated(transitions, start, stop)
         yield EpisodeBuffer(
             observations=np.vstack([observations, final]),
             actions=actions,
@@ -186,6 +194,13 @@ def _terminated(transitions: Transitions, start: int, stop: int, final: Array, p
         return False
     # A mark before the time limit can only be a fall; at the limit it says nothing.
     return stop - start < MAX_EPISODE_STEPS or not physics.is_healthy(final)
+
+
+def _truncated(transitions: Transitions, start: int, stop: int) -> bool:
+    """Return whether an episode reached its time limit: as the source says, else by its length."""
+    if transitions.truncated is not None:
+        return bool(transitions.truncated[stop - 1])
+    return stop - start == MAX_EPISODE_STEPS
 
 
 def _shows_resets(transitions: Transitions, bounds: list[tuple[int, int]]) -> bool:

@@ -1,0 +1,211 @@
+"""``imujoco import-archive``, ``diff-catalogue`` and ``import``: the original's archive, and others' data."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from imujoco_minari.cli.app import (
+    AsJson,
+    Category,
+    Robot,
+    app,
+    out,
+    print_json,
+    print_table,
+    progress,
+    say,
+)
+from imujoco_minari.cli.datasets import finish, report
+from imujoco_minari.errors import DatasetNotFoundError, VariantError, suggestion
+from imujoco_minari.variants import Variant
+
+if TYPE_CHECKING:
+    from imujoco_minari.importing.archive import Archive
+    from imujoco_minari.importing.catalogue_diff import Departure
+    from imujoco_minari.importing.original import OriginalVariant
+
+Columns = Annotated[
+    str | None,
+    typer.Option("--columns", help="What the table's columns are, as in observation,action,reward,done."),
+]
+Force = Annotated[bool, typer.Option("--force", help="Replace what has the id.")]
+
+
+@app.command("import-archive")
+def import_archive_command(
+    place: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with xml, policies and dataset.")],
+    variants: Annotated[list[str] | None, typer.Argument(help="Variant ids; all by default.")] = None,
+    robot: Robot = None,
+    category: Category = None,
+    recollect: Annotated[
+        bool, typer.Option("--recollect", help="Roll the archive's policies out anew, in its models.")
+    ] = False,
+    episodes: Annotated[int, typer.Option("--episodes", "-n", min=1, help="Episodes to recollect.")] = 100,
+    seed: Annotated[int, typer.Option("--seed", "-s", min=0, help="Base seed to recollect with.")] = 0,
+    columns: Columns = None,
+    force: Force = False,
+    as_json: AsJson = False,
+) -> None:
+    """Publish the original's archive as imujoco-original/<variant>-v0.
+
+    DIR holds the folders xml, policies and dataset, or their zips. What each column is, is detected and
+    checked; --columns says it. With --recollect, the tier is `recollected`.
+
+    Examples: `imujoco import-archive imujoco/`,
+    `imujoco import-archive imujoco/ hopper-massdec_25_leggeom --recollect`
+    """
+    from imujoco_minari.importing.archive import open_archive
+    from imujoco_minari.importing.originals import Import, import_archive
+
+    archive = open_archive(place)
+    chosen = _chosen(archive, variants or [], robot, category)
+    how = Import(columns, recollect, episodes, seed, force)
+    outcomes = []
+    with progress("importing", len(chosen), quiet=as_json) as advance:
+        for outcome in import_archive(archive, chosen, how, advance):
+            outcomes.append(outcome)
+            report(outcome, as_json)
+    _say_ignored(archive)
+    finish(outcomes, as_json)
+
+
+@app.command("diff-catalogue")
+def diff_catalogue(
+    place: Annotated[
+        Path | None, typer.Argument(metavar="[DIR]", help="The archive; by default what is imported here.")
+    ] = None,
+    robot: Robot = None,
+    category: Category = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show where the original's models depart from ours, in physical quantities.
+
+    A variant whose id our grammar does not have is compared with the base robot.
+
+    Examples: `imujoco diff-catalogue imujoco/`, `imujoco diff-catalogue --robot hopper`
+    """
+    from imujoco_minari.importing import catalogue_diff
+    from imujoco_minari.importing.archive import open_archive
+
+    if place is not None:
+        archive = open_archive(place)
+        found = [v for v in archive.variants if "xml" in archive.files[v] and _fits(v, robot, category)]
+        departures = list(catalogue_diff.departures_of_archive(archive, found))
+    else:
+        models = {v: m for v, m in catalogue_diff.published_models().items() if _fits(v, robot, category)}
+        if not models:
+            raise DatasetNotFoundError(
+                "no dataset of the original is published here: give the archive's folder, "
+                "or import it with `imujoco import-archive DIR`"
+            )
+        found = list(models)
+        departures = [catalogue_diff.departure(variant, mjcf) for variant, mjcf in models.items()]
+    shared = catalogue_diff.coverage(found, robot, category)
+    if as_json:
+        print_json(
+            {
+                "departures": [
+                    vars(departure) | {"differences": [vars(d) for d in departure.differences]}
+                    for departure in departures
+                ],
+                "coverage": vars(shared),
+            }
+        )
+    else:
+        _print_departures(departures)
+        out.print(
+            f"ids: {len(shared.both)} in both catalogues, {len(shared.only_original)} only in the "
+            f"original's, {len(shared.only_ours)} only in ours"
+        )
+    if any(departure.error for departure in departures):
+        raise typer.Exit(1)
+
+
+@app.command("import")
+def import_command(
+    source: Annotated[str, typer.Argument(help="A Minari id or folder, a D4RL HDF5 file, or an .npz.")],
+    variant: Annotated[str, typer.Option("--variant", help="The variant whose data they are.")],
+    tier: Annotated[str, typer.Option("--tier", "-t", help="The tier they become.")],
+    columns: Columns = None,
+    force: Force = False,
+    as_json: AsJson = False,
+) -> None:
+    """Publish others' data of one of the robots as a tier of a variant.
+
+    Examples: `imujoco import mujoco/hopper/expert-v0 --variant hopper-base --tier farama`,
+    `imujoco import hopper_medium-v2.hdf5 --variant hopper-base --tier d4rl-medium`
+    """
+    from imujoco_minari.importing.foreign import import_dataset
+
+    imported = import_dataset(source, Variant.parse(variant), tier, columns=columns, force=force)
+    near = imported.one_step
+    if as_json:
+        print_json(vars(imported.published) | {"one_step_difference": near.asdict(), "notes": imported.notes})
+        return
+    report(imported.published, quiet=False)
+    if not imported.published.created:
+        return
+    for note in imported.notes:
+        say(note)
+    out.print(
+        f"  of {near.rows} steps simulated again in {variant}, the largest deviation of a position is "
+        f"{near.position_median:.2g} in the median and {near.position_max:.2g} at most (m, rad)"
+    )
+
+
+def _chosen(
+    archive: Archive, names: list[str], robot: str | None, category: str | None
+) -> list[OriginalVariant]:
+    ids = {str(variant): variant for variant in archive.variants}
+    for name in names:
+        if name not in ids:
+            raise VariantError(
+                f"the archive at {archive.place} has no variant {name!r}{suggestion(name[:80], ids)}; "
+                f"it has {len(ids)}"
+            )
+    chosen = [ids[name] for name in dict.fromkeys(names)] or list(archive.variants)
+    chosen = [variant for variant in chosen if _fits(variant, robot, category)]
+    if not chosen:
+        raise VariantError(f"the archive at {archive.place} has no variant that --robot and --category leave")
+    return chosen
+
+
+def _fits(variant: Variant, robot: str | None, category: str | None) -> bool:
+    return robot in (None, variant.robot) and category in (None, variant.category)
+
+
+def _say_ignored(archive: Archive) -> None:
+    if archive.ignored:
+        shown = ", ".join(archive.ignored[:5])
+        say(f"{len(archive.ignored)} files of the archive name no variant and were left out: {shown}")
+
+
+def _print_departures(departures: list[Departure]) -> None:
+    columns = ("variant", "compared with", "quantity", "ours", "original", "unit")
+    rows = [
+        [
+            departure.variant,
+            "the same id" if departure.same_id else departure.against,
+            difference.quantity,
+            f"{difference.before:.6g}",
+            f"{difference.after:.6g}",
+            difference.unit,
+        ]
+        for departure in departures
+        for difference in departure.differences
+    ]
+    if rows:
+        print_table(columns, rows, numeric=("ours", "original"))
+        out.print("")
+    for departure in departures:
+        if departure.error:
+            say(f"{departure.variant}: {departure.error}")
+    same = sum(not departure.differences and not departure.error for departure in departures)
+    failed = sum(bool(departure.error) for departure in departures)
+    out.print(
+        f"models: {len(departures)} compared, {same} as ours, "
+        f"{len(departures) - same - failed} different, {failed} unreadable"
+    )

@@ -1,0 +1,134 @@
+"""Where the original's models depart from ours of the same id, in physical quantities."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import h5py
+import mujoco
+import numpy as np
+
+from imujoco_minari import content, roots
+from imujoco_minari.differences import Difference, model_differences
+from imujoco_minari.errors import ImujocoError, VariantError
+from imujoco_minari.importing.archive import Archive
+from imujoco_minari.importing.foreign_mjcf import canonical_foreign_mjcf
+from imujoco_minari.importing.original import ORIGINAL, OriginalVariant
+from imujoco_minari.mjcf import canonical_mjcf, compile_mjcf
+from imujoco_minari.variants import Variant, catalogue
+
+_JOINT_VALUES = (
+    ("damping", "dof_damping", "N m s/rad"),
+    ("armature", "dof_armature", "kg m2"),
+    ("stiffness", "jnt_stiffness", "N m/rad"),
+)
+
+
+@dataclass(frozen=True)
+class Departure:
+    """How one of the original's models compares with ours.
+
+    Attributes:
+        variant: the id in the archive.
+        against: our variant it is compared with: the one of the same id, else the base robot.
+        differences: quantities that differ, ours before the original's.
+        error: why the model could not be compared; empty when it could.
+    """
+
+    variant: str
+    against: str
+    differences: tuple[Difference, ...] = ()
+    error: str = ""
+
+    @property
+    def same_id(self) -> bool:
+        """Whether our grammar has a variant of this id."""
+        return self.variant == self.against
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Which ids the two catalogues share."""
+
+    both: tuple[str, ...]
+    only_original: tuple[str, ...]
+    only_ours: tuple[str, ...]
+
+
+def departures_of_archive(archive: Archive, variants: Iterable[OriginalVariant]) -> Iterator[Departure]:
+    """Compare models of an archive with ours; a model that cannot be read is reported as such."""
+    for variant in variants:
+        try:
+            yield departure(variant, archive.mjcf(variant)[1])
+        except ImujocoError as error:
+            yield Departure(str(variant), _against(variant), error=str(error))
+
+
+def departure(variant: OriginalVariant, mjcf: str) -> Departure:
+    """Compare the canonical text of an original's model with ours."""
+    ours = compile_mjcf(canonical_mjcf(Variant.parse(_against(variant))))
+    theirs = compile_mjcf(mjcf)
+    try:
+        found = (*model_differences(ours, theirs), *_more_differences(ours, theirs))
+    except KeyError as error:
+        return Departure(str(variant), _against(variant), error=f"{variant}: has other names: {error}")
+    return Departure(str(variant), _against(variant), found)
+
+
+def coverage(variants: Iterable[OriginalVariant], robot: str | None, category: str | None) -> Coverage:
+    """Return which of the original's ids our catalogue lists, and which of ours the original has not."""
+    theirs = {str(variant) for variant in variants}
+    ours = {str(variant) for variant in catalogue(robot, category)}
+    return Coverage(*(tuple(sorted(ids)) for ids in (theirs & ours, theirs - ours, ours - theirs)))
+
+
+def published_models() -> dict[OriginalVariant, str]:
+    """Return the models of the original's datasets that are in the Minari root: a catalogue of its own."""
+    models: dict[OriginalVariant, str] = {}
+    for folder in sorted((roots.datasets_root() / ORIGINAL).glob("*-v0")):
+        try:
+            with h5py.File(content.main_file(folder / "data"), "r") as file:
+                variant = OriginalVariant.parse(str(file.attrs["variant"]))
+                # What lies in the root may come from anywhere, as a dataset that was pulled does.
+                text = canonical_foreign_mjcf(str(file.attrs["mjcf"]), variant.robot, folder.name)
+        except (OSError, KeyError, VariantError):
+            continue
+        models.setdefault(variant, text)
+    return models
+
+
+def _against(variant: OriginalVariant) -> str:
+    return str(variant.ours or variant.base)
+
+
+def _more_differences(ours: Any, theirs: Any) -> list[Difference]:
+    """Return differences in what no category of ours changes, and so in nothing that ``show`` lists."""
+    found: list[Difference] = []
+
+    def compare(quantity: str, first: float, second: float, unit: str) -> None:
+        if not np.isclose(first, second, rtol=1e-9, atol=1e-12):
+            found.append(Difference(quantity, float(first), float(second), unit))
+
+    # The original's model has been checked to have our joints and actuators, in our order.
+    for i in range(ours.njnt):
+        name = ours.joint(i).name
+        for label, field, unit in _JOINT_VALUES:
+            compare(f"{label} of {name}", getattr(ours, field)[i], getattr(theirs, field)[i], unit)
+        for axis, number in (("x", 0), ("z", 2)):
+            first, second = (_anchors(model)[i][number] for model in (ours, theirs))
+            compare(f"{axis} of {name} in the rest pose", first, second, "m")
+    for i in range(ours.nu):
+        name = ours.joint(int(ours.actuator_trnid[i][0])).name
+        compare(f"gear of {name}", ours.actuator_gear[i][0], theirs.actuator_gear[i][0], "N m")
+    compare("timestep", ours.opt.timestep, theirs.opt.timestep, "s")
+    compare("gravity", ours.opt.gravity[2], theirs.opt.gravity[2], "m/s2")
+    return found
+
+
+def _anchors(model: Any) -> Any:
+    """Return where the joints are in the rest pose, ``(joints, 3)`` in m."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return data.xanchor.copy()
