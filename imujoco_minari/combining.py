@@ -20,7 +20,7 @@ from gymnasium.envs.registration import EnvSpec
 from minari import MinariDataset
 from minari.dataset.minari_storage import MinariStorage
 
-from imujoco_minari import content, roots
+from imujoco_minari import content, copying, roots
 from imujoco_minari.errors import DatasetError, DatasetExistsError, DatasetNotFoundError, ImujocoError
 from imujoco_minari.registration import collection_spec, environment_spec
 from imujoco_minari.variants import EXPERT, NAMESPACE, Variant, catalogue
@@ -175,34 +175,25 @@ def _write(sources: Sequence[_Source], data: Path, linked_from: Path | None) -> 
     with h5py.File(content.main_file(data), "w", track_order=True) as target:
         for source in sources:
             with h5py.File(source.file, "r") as file:
-                for number in source.episodes:
-                    name = f"episode_{len(attributes)}"
-                    group = file[f"episode_{number}"]
-                    attrs = {key: group.attrs[key] for key in _COMMON if key in group.attrs}
-                    attributes.append(attrs)
-                    steps += int(group.attrs["total_steps"])
-                    if linked_from is not None:
-                        target[name] = h5py.ExternalLink(
-                            relpath(source.file, linked_from), f"episode_{number}"
-                        )
-                        continue
-                    file.copy(group, target, name)
-                    target[name].attrs["id"] = len(attributes) - 1
-                    target[name].attrs["source"] = source.dataset_id
+                attributes += copying.shared_attributes(file, source.episodes, _COMMON)
+                if linked_from is None:
+                    steps += copying.copy_episodes(file, source.episodes, target, source.dataset_id)
+                else:
+                    path = relpath(source.file, linked_from)
+                    copying.link_episodes(file, source.episodes, target, path)
+                    steps += _steps(source, file)
         if linked_from is None:
-            target.attrs["content_sha256"] = _sealed_digest(target, len(attributes))
+            target.attrs["content_sha256"] = copying.digest(target)
     storage.update_metadata({"total_episodes": len(attributes), "total_steps": steps})
     return attributes
 
 
-def _sealed_digest(file: h5py.File, episodes: int) -> str:
-    try:
-        return content.content_sha256(file, episodes)
-    except KeyError:
-        # Some dataset was not published by this package, and its arrays have no digests yet.
-        for number in range(episodes):
-            content.seal_episode(file[f"episode_{number}"])
-        return content.content_sha256(file, episodes)
+def _steps(source: _Source, file: h5py.File) -> int:
+    """Return how many steps a source's episodes have, without opening each where all are in it."""
+    metadata = source.storage.metadata
+    if len(source.episodes) == metadata["total_episodes"]:
+        return int(metadata["total_steps"])
+    return sum(int(file[f"episode_{number}"].attrs["total_steps"]) for number in source.episodes)
 
 
 def _describe(

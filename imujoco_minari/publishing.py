@@ -22,7 +22,7 @@ from minari.data_collector import EpisodeBuffer
 from minari.data_collector.callbacks import EpisodeMetadataCallback
 from minari.dataset.minari_storage import MinariStorage
 
-from imujoco_minari import content, roots
+from imujoco_minari import content, copying, roots
 from imujoco_minari.collection import collect
 from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError
 from imujoco_minari.mjcf import canonical_mjcf, mjcf_sha256
@@ -69,6 +69,11 @@ class Recipe:
     def attributes(self) -> dict[str, Any]:
         """What the dataset's root and each of its episodes carry."""
         return content.attributes(self.variant, self.tier)
+
+    @property
+    def episode_attributes(self) -> dict[str, Any]:
+        """What each episode carries: whence it came too, which a collection of it then says."""
+        return self.attributes | {"source": self.dataset_id}
 
     def load_policy(self) -> Policy:
         """Return the policy that the recipe names."""
@@ -240,13 +245,19 @@ def _roll_out(recipe: Recipe, policy: Policy, data: Path, jobs: int, on_episode:
     shares = np.array_split(np.arange(recipe.episodes), min(jobs * 4, recipe.episodes) if jobs > 1 else 1)
     if len(shares) == 1:
         collect(
-            recipe.variant, policy, range(recipe.episodes), recipe.seed, data, recipe.attributes, on_episode
+            recipe.variant,
+            policy,
+            range(recipe.episodes),
+            recipe.seed,
+            data,
+            recipe.episode_attributes,
+            on_episode,
         )
         return
     parts = [data.with_name(f"share-{number}") for number in range(len(shares))]
     pool = Parallel(n_jobs=jobs, return_as="generator", batch_size=1)
     finished = pool(
-        delayed(collect)(recipe.variant, policy, share.tolist(), recipe.seed, part, recipe.attributes)
+        delayed(collect)(recipe.variant, policy, share.tolist(), recipe.seed, part, recipe.episode_attributes)
         for share, part in zip(shares, parts, strict=True)
     )
     for share, _ in zip(shares, finished, strict=True):
@@ -259,18 +270,15 @@ def _roll_out(recipe: Recipe, policy: Policy, data: Path, jobs: int, on_episode:
 def _join(parts: Sequence[Path], data: Path) -> None:
     """Move the episodes of all parts, in order, behind those of the first, which becomes ``data``."""
     first, *others = parts
-    storages = [MinariStorage.read(part) for part in parts]
-    steps = sum(storage.total_steps for storage in storages)
+    storage = MinariStorage.read(first)
+    steps = storage.total_steps
     with h5py.File(content.main_file(first), "a", track_order=True) as target:
         for other in others:
             with h5py.File(content.main_file(other), "r") as source:
-                for number in range(len(source)):
-                    episode = len(target)
-                    source.copy(f"episode_{number}", target, f"episode_{episode}")
-                    target[f"episode_{episode}"].attrs["id"] = episode
+                steps += copying.copy_episodes(source, range(len(source)), target, "")
             _remove(other)
         episodes = len(target)
-    storages[0].update_metadata({"total_episodes": episodes, "total_steps": steps})
+    storage.update_metadata({"total_episodes": episodes, "total_steps": steps})
     first.rename(data)
 
 

@@ -107,3 +107,11 @@ def write_attribute(owner: Any, name: str, value: Any) -> None:
     array = np.asarray(value)
     space = h5s.create_simple(array.shape) if array.ndim else _SCALAR
     h5a.create(owner, name.encode(), h5t.py_create(array.dtype, logical=True), space).write(array)
+
+
+def read_text(owner: Any, name: str) -> str:
+    """Read a string attribute of a low-level group or dataset."""
+    text = np.empty((), dtype=_TEXT)
+    h5a.open(owner, name.encode()).read(text)
+    value = text[()]
+    return value.decode() if isinstance(value, bytes) else str(value)

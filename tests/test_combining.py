@@ -1,0 +1,189 @@
+"""A collection holds its sources' episodes as they were, copied or linked."""
+
+from __future__ import annotations
+
+import shutil
+
+import h5py
+import minari
+import numpy as np
+import pytest
+
+from imujoco_minari import content
+from imujoco_minari.combining import collection_id, combine_datasets, published_ids
+from imujoco_minari.errors import DatasetError, DatasetExistsError, DatasetNotFoundError
+from imujoco_minari.publishing import publish
+from imujoco_minari.verification import verify
+
+VARIANTS = ("hopper-base", "hopper-massdec_25_leggeom", "hopper-frictiondec_50_feet")
+IDS = [f"imujoco/{variant}-random-v0" for variant in VARIANTS]
+NEW = "imujoco/hopper-mine-v0"
+EPISODES = 4
+
+
+@pytest.fixture(scope="module")
+def published(tmp_path_factory):
+    root = tmp_path_factory.mktemp("published")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MINARI_DATASETS_PATH", str(root))
+        for seed, variant in enumerate(VARIANTS):
+            publish(variant, tier="random", episodes=EPISODES, seed=seed)
+    return root
+
+
+@pytest.fixture
+def sources(published, root):
+    shutil.copytree(published, root)
+    return IDS
+
+
+def stored(dataset):
+    """Return attributes and arrays of the episodes of a dataset or view, in its order."""
+    with h5py.File(content.main_file(dataset.storage.data_path), "r") as file:
+        groups = [file[f"episode_{index}"] for index in dataset.episode_indices]
+        return [
+            (
+                dict(group.attrs),
+                {
+                    key: (array.dtype, array.shape, array[()].tobytes())
+                    for key, array in content.arrays(group)
+                },
+            )
+            for group in groups
+        ]
+
+
+def expected(datasets):
+    return [
+        (dict(attributes, source=dataset.id), arrays)
+        for dataset in datasets
+        for attributes, arrays in stored(dataset)
+    ]
+
+
+def without_id(episodes):
+    return [({key: attrs[key] for key in sorted(attrs) if key != "id"}, arrays) for attrs, arrays in episodes]
+
+
+@pytest.mark.parametrize("link", [False, True])
+def test_every_attribute_seed_and_array_stays(sources, link):
+    datasets = [minari.load_dataset(name) for name in sources]
+    collection = combine_datasets(datasets, NEW, link=link)
+    assert without_id(stored(collection)) == without_id(expected(datasets))
+    assert verify(NEW) == []
+    numbers = [attributes["id"] for attributes, _ in stored(collection)]
+    assert numbers == list(range(EPISODES)) * 3 if link else numbers == list(range(EPISODES * 3))
+    metadata = collection.storage.metadata
+    assert metadata["combined_datasets"] == sources
+    assert metadata["total_episodes"] == 3 * EPISODES
+    assert metadata["total_steps"] == sum(dataset.total_steps for dataset in datasets)
+    assert ("content_sha256" in metadata) is not link
+
+
+@pytest.mark.parametrize("link", [False, True])
+def test_a_view_goes_in_as_that_view(sources, link):
+    first, second, _ = (minari.load_dataset(name) for name in sources)
+    views = [
+        first.filter_episodes(lambda episode: episode.id in (1, 3)),
+        *minari.split_dataset(second, [2], 5),
+    ]
+    collection = combine_datasets(views, NEW, link=link)
+    assert without_id(stored(collection)) == without_id(expected(views))
+    assert collection.total_steps == sum(view.total_steps for view in views)
+    assert verify(NEW) == []
+
+
+def test_a_collection_of_collections_names_the_first_source(sources):
+    combine_datasets(sources[:2], NEW)
+    both = combine_datasets([NEW, sources[2]], "imujoco/hopper-more-v0")
+    assert [attributes["source"] for attributes, _ in stored(both)] == [
+        name for name in IDS for _ in range(EPISODES)
+    ]
+    assert [attributes["variant"] for attributes, _ in stored(both)] == [
+        name for name in VARIANTS for _ in range(EPISODES)
+    ]
+    assert both.recover_environment().unwrapped.variants == VARIANTS
+    assert verify("imujoco/hopper-more-v0") == []
+
+
+def test_the_content_digest_depends_on_the_order_alone(sources):
+    digests = [
+        combine_datasets(names, f"imujoco/hopper-order-v{number}").storage.metadata["content_sha256"]
+        for number, names in enumerate((sources, list(sources), sources[::-1]))
+    ]
+    assert digests[0] == digests[1] != digests[2]
+
+
+def test_datasets_of_stock_minari_get_their_digests_and_source(sources):
+    # Minari's own copy of a dataset keeps no attribute of an episode but number and steps.
+    minari.combine_datasets([minari.load_dataset(sources[0])], "imujoco/stock-v0")
+    path = minari.load_dataset("imujoco/stock-v0").storage.data_path
+    with h5py.File(content.main_file(path), "r") as file:
+        assert content.DIGEST not in file["episode_0"].attrs
+    collection = combine_datasets(["imujoco/stock-v0"], "imujoco/again-v0")
+    attributes, arrays = stored(collection)[-1]
+    assert attributes["source"] == "imujoco/stock-v0"
+    assert arrays == stored(minari.load_dataset(sources[0]))[-1][1]
+    with h5py.File(content.main_file(collection.storage.data_path), "r") as file:
+        assert content.content_sha256(file, len(file)) == collection.storage.metadata["content_sha256"]
+
+
+def test_links_are_relative_so_that_a_root_can_move(sources, root, tmp_path, monkeypatch):
+    before = stored(combine_datasets(sources, NEW, link=True))
+    root.rename(tmp_path / "elsewhere")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "elsewhere"))
+    assert stored(minari.load_dataset(NEW)) == before
+
+
+def test_a_link_takes_no_space(sources):
+    linked = combine_datasets(sources, NEW, link=True)
+    copied = combine_datasets(sources, "imujoco/hopper-copied-v0")
+    files = [content.main_file(dataset.storage.data_path) for dataset in (linked, copied)]
+    sizes = [file.stat().st_size for file in files]
+    assert sizes[0] < sizes[1] / 5
+
+
+def test_what_is_damaged_or_missing_is_named(sources, root):
+    with h5py.File(content.main_file(root / IDS[1] / "data"), "a") as file:
+        del file["episode_2"]
+    for link in (False, True):
+        with pytest.raises(DatasetError, match=r"cannot be copied.*episode_2|cannot be copied.*verify"):
+            combine_datasets(sources, NEW, link=link)
+    with pytest.raises(DatasetNotFoundError, match="hopper-none-v0 is not in the Minari root"):
+        combine_datasets([IDS[0], "imujoco/hopper-none-v0"], NEW)
+    assert not (root / NEW).exists()
+
+
+def test_a_taken_id_is_left_alone_unless_forced(sources):
+    combine_datasets(sources[:1], NEW)
+    with pytest.raises(DatasetExistsError, match="already there"):
+        combine_datasets(sources, NEW)
+    assert minari.load_dataset(NEW).total_episodes == EPISODES
+    assert combine_datasets(sources, NEW, force=True).total_episodes == 3 * EPISODES
+
+
+def test_finds_what_is_published_of_a_robot(sources):
+    assert sorted(published_ids("hopper", tier="random")) == sorted(IDS[1:])
+    assert set(published_ids("hopper", "mass", "random")) == {IDS[1]}
+    assert collection_id("hopper", "mass", "random") == "imujoco/hopper-mass-random-v0"
+    assert collection_id("hopper") == "imujoco/hopper-all-v0"
+
+
+def test_nothing_and_two_robots_are_refused(sources, monkeypatch):
+    monkeypatch.setattr("imujoco_minari.publishing.reference_scores", lambda variant: {})
+    publish("halfcheetah-base", tier="random", episodes=1)
+    with pytest.raises(DatasetError, match="no dataset was given"):
+        combine_datasets([], NEW)
+    with pytest.raises(DatasetError, match="a collection holds one robot"):
+        combine_datasets([IDS[0], "imujoco/halfcheetah-base-random-v0"], NEW)
+    empty = minari.load_dataset(IDS[0]).filter_episodes(lambda episode: False)
+    with pytest.raises(DatasetError, match="hold no episodes"):
+        combine_datasets([empty], NEW)
+
+
+def test_an_environment_of_all_its_variants_resets_to_each(sources):
+    env = combine_datasets(sources, NEW).recover_environment()
+    observations = [env.reset(seed=1, options={"variant": variant})[0] for variant in VARIANTS]
+    assert all(np.array_equal(observations[0], observation) for observation in observations)
+    with pytest.raises(ValueError, match="is not in this collection"):
+        env.reset(seed=1, options={"variant": "hopper-massinc_200_footgeom"})
