@@ -64,14 +64,17 @@ class BucketStore(GCPStorage):  # type: ignore[misc,unused-ignore]
         """Return True: Minari lists every dataset in a bucket that has metadata."""
         return True
 
+    def holds(self, dataset_id: str) -> bool:
+        """Return whether the bucket states, for every file of a dataset, the digest of the local file."""
+        return all(self._holds(f"{dataset_id}/{name}", dataset_folder(dataset_id) / name) for name in FILES)
+
     def upload_dataset(self, dataset_id: str, card: str | None = None) -> None:
         """Upload a dataset, its ``metadata.json`` last."""
         if card is not None:
             self.bucket.blob(f"{dataset_id}/{CARD}").upload_from_string(card, "text/markdown; charset=utf-8")
         for name in FILES:
             file = dataset_folder(dataset_id) / name
-            there = self.bucket.get_blob(f"{dataset_id}/{name}")
-            if there is None or there.md5_hash != _md5(file):
+            if not self._holds(f"{dataset_id}/{name}", file):
                 self.bucket.blob(f"{dataset_id}/{name}").upload_from_filename(str(file), checksum="md5")
 
     def upload_card(self, namespace: str, card: str) -> None:
@@ -87,6 +90,10 @@ class BucketStore(GCPStorage):  # type: ignore[misc,unused-ignore]
                 self.bucket.blob(f"{dataset_id}/{name}").download_to_filename(str(target))
             except NotFound:
                 raise RemoteError(f"gcp://{self.bucket.name}: {dataset_id} has no {name}") from None
+
+    def _holds(self, path: str, file: Path) -> bool:
+        blob = self.bucket.get_blob(path)
+        return blob is not None and blob.md5_hash == _md5(file)
 
 
 def _md5(file: Path) -> str:

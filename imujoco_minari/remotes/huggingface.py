@@ -7,13 +7,14 @@ files, card and registration are one commit on a known parent: a push happens as
 
 from __future__ import annotations
 
+import hashlib
 import json
 import tempfile
 from pathlib import Path
 from typing import Any
 
 from huggingface_hub import CommitOperationAdd, get_token
-from huggingface_hub.errors import EntryNotFoundError, HfHubHTTPError, RepositoryNotFoundError
+from huggingface_hub.errors import HfHubHTTPError, RemoteEntryNotFoundError, RepositoryNotFoundError
 from minari.storage.remotes.huggingface import HuggingFaceStorage
 
 from imujoco_minari.errors import RemoteError
@@ -55,6 +56,14 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
             "datasets", []
         )
 
+    def holds(self, dataset_id: str) -> bool:
+        """Return whether the Hub states, for every file of a dataset, the digest of the local file."""
+        repository, folder = self._decompose_path(dataset_id)
+        files = {f"{folder}/{name}": dataset_folder(dataset_id) / name for name in FILES}
+        stated = self._api.get_paths_info(self._repo_id(repository), list(files), repo_type="dataset")
+        digests = {entry.path: entry.lfs.sha256 if entry.lfs else entry.blob_id for entry in stated}
+        return all(digests.get(path) in _digests(file) for path, file in files.items())
+
     def upload_dataset(self, dataset_id: str, card: str | None = None) -> None:
         """Upload a dataset's files and card and register its id, in one commit."""
         repository, folder = self._decompose_path(dataset_id)
@@ -92,7 +101,7 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
                     revision=head,
                     local_dir=path / repository,
                 )
-            except EntryNotFoundError:
+            except RemoteEntryNotFoundError:
                 raise RemoteError(f"hf://{self.name}: {dataset_id} has no {name}") from None
 
     def _read(self, repository: str, name: str, revision: str | None) -> bytes | None:
@@ -106,7 +115,7 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
                     revision=revision,
                     local_dir=folder,
                 )
-            except (EntryNotFoundError, RepositoryNotFoundError):
+            except (RemoteEntryNotFoundError, RepositoryNotFoundError):
                 return None
             return Path(file).read_bytes()
 
@@ -130,3 +139,10 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
 
     def _repo_id(self, repository: str) -> str:
         return f"{self.name}/{repository}"
+
+
+def _digests(file: Path) -> tuple[str, str]:
+    """Return a file's digests as the Hub states them: of a large file, and of one that lies in git."""
+    data = file.read_bytes()
+    blob = hashlib.sha1(b"blob %d\0" % len(data) + data, usedforsecurity=False)
+    return hashlib.sha256(data).hexdigest(), blob.hexdigest()

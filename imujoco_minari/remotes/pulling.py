@@ -1,27 +1,24 @@
 """From a remote into the Minari root: download into staging, check, commit.
 
-What comes from elsewhere is not trusted: nothing is visible before its digests were checked, only the
-files of a dataset are fetched, and a link or an environment that is not of this package is refused.
+What comes from elsewhere is not trusted: only the files of a dataset are fetched, a child process reads
+them first, and nothing is visible before :mod:`imujoco_minari.verification` found nothing wrong with it.
 """
 
 from __future__ import annotations
 
-import json
 import platform
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
-from os import path as paths
 from pathlib import Path
 from typing import Any
 
-import h5py
-
-from imujoco_minari import content, roots
+from imujoco_minari import roots
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError
-from imujoco_minari.remotes.stores import METADATA_FILE, Store, connect, explained, metadata
-from imujoco_minari.verification import Finding, inspect
+from imujoco_minari.remotes.stores import Store, connect, explained, metadata
+from imujoco_minari.verification import Finding, inspect, screening
+from imujoco_minari.verification.identity import read_metadata
 
 
 @dataclass(frozen=True)
@@ -115,22 +112,14 @@ def _download(store: Store, dataset_id: str, remote: str, force: bool, sources: 
             place = folder / source
             place.parent.mkdir(parents=True, exist_ok=True)
             place.symlink_to(roots.dataset_folder(source).resolve())
-        stated = _read_metadata(staged)
+        stated = read_metadata(staged / "data")
         same = _same_simulator(stated)
-        findings = [*_strangers(staged, stated, dataset_id, sources), *_findings(staged, same)]
+        findings = _findings(staged / "data", stated, dataset_id, same)
         if findings:
             raise DatasetError(f"{dataset_id} from {remote}: not kept, its check found: {findings[0]}")
         target = roots.commit(staged, dataset_id, replace=force)
     digest = str(stated.get("content_sha256", ""))
     return Pulled(dataset_id, remote, target, True, digest, same, time.monotonic() - start)
-
-
-def _read_metadata(staged: Path) -> dict[str, Any]:
-    try:
-        value = json.loads((staged / METADATA_FILE).read_text("utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return {}
-    return value if isinstance(value, dict) else {}
 
 
 def _same_simulator(stated: dict[str, Any]) -> bool:
@@ -146,45 +135,14 @@ def _same_simulator(stated: dict[str, Any]) -> bool:
     )
 
 
-def _findings(staged: Path, same_simulator: bool) -> list[Finding]:
-    if same_simulator:
-        return inspect(staged / "data", replay_episodes=1)
-    # Another simulator may write the model otherwise and step it otherwise; its digest still stands.
-    findings = inspect(staged / "data", replay_episodes=0)
-    return [finding for finding in findings if finding.where != "@mjcf" or "digest" in finding.what]
-
-
-def _strangers(
-    staged: Path, stated: dict[str, Any], dataset_id: str, sources: Sequence[str]
-) -> Iterator[Finding]:
-    """Find what a dataset of this package never holds, before anything follows it."""
+def _findings(data: Path, stated: dict[str, Any], dataset_id: str, same_simulator: bool) -> list[Finding]:
+    fatal = screening.survives(data)
+    if fatal is not None:
+        return [fatal]
     if stated.get("dataset_id") != dataset_id:
-        yield Finding("metadata.json/dataset_id", f"is {stated.get('dataset_id')!r}, not {dataset_id!r}")
-    entry_point = _entry_point(stated)
-    if not entry_point.startswith("imujoco_minari."):
-        # recover_environment() imports and calls whatever stands here.
-        yield Finding(
-            "metadata.json/env_spec", f"has the entry point {entry_point[:80]!r}, which is not ours"
-        )
-    beside = staged.parents[dataset_id.count("/")]
-    allowed = {paths.normpath(content.main_file(beside / source / "data")) for source in sources}
-    for name, target in _links(content.main_file(staged / "data")):
-        if paths.normpath(staged / "data" / target) not in allowed:
-            yield Finding(name, f"is a link to {target[:80]!r}, which is none of its sources")
-
-
-def _entry_point(stated: dict[str, Any]) -> str:
-    try:
-        return str(json.loads(stated["env_spec"])["entry_point"])
-    except (ValueError, KeyError, TypeError, RecursionError):
-        return ""
-
-
-def _links(file: Path) -> list[tuple[str, str]]:
-    """Return the names and target files of the external links in an HDF5 file, following none."""
-    try:
-        with h5py.File(file, "r") as opened:
-            links = [(name, opened.get(name, getlink=True)) for name in opened]
-    except Exception:  # h5py raises anything at all on a damaged file; the check that follows says so
-        return []
-    return [(name, str(link.filename)) for name, link in links if isinstance(link, h5py.ExternalLink)]
+        return [Finding("metadata.json/dataset_id", f"is {str(stated.get('dataset_id'))[:80]!r}")]
+    if same_simulator:
+        return inspect(data, replay_episodes=1)
+    # Another simulator may write the model otherwise and step it otherwise; the digests still stand.
+    findings = inspect(data, replay_episodes=0)
+    return [finding for finding in findings if finding.where != "@mjcf" or "digest" in finding.what]

@@ -125,9 +125,9 @@ def _push(store: Store, dataset_id: str, remote: str, force: bool) -> Pushed:
     digest = str(ours.get("content_sha256", ""))
     with explained(remote):
         theirs = metadata(store, dataset_id)
-        if theirs == ours:
+        if theirs == ours and store.holds(dataset_id):
             return Pushed(dataset_id, remote, False, size, digest, time.monotonic() - start)
-        if theirs is not None and not force:
+        if theirs is not None and theirs != ours and not force:
             raise DatasetExistsError(
                 f"{remote} has another {dataset_id}, made on {_made_with(theirs)}; it was left alone "
                 "(--force replaces it)"
@@ -168,6 +168,9 @@ def _describe(store: Store, remote: str, dataset_ids: Sequence[str]) -> None:
         return
     for namespace in dict.fromkeys(namespaces(dataset_id)[0] for dataset_id in dataset_ids):
         with explained(remote):
-            listed = sorted(store.list_datasets(prefix=f"{namespace}/"))
-            found = {dataset_id: metadata(store, dataset_id) or {} for dataset_id in listed}
+            files = {
+                dataset_id: store.read(f"{dataset_id}/{METADATA_FILE}")
+                for dataset_id in sorted(store.list_datasets(prefix=f"{namespace}/"))
+            }
+            found = {name: parse_object(data, name) for name, data in files.items() if data is not None}
             store.upload_card(namespace, namespace_card(namespace, remote, found))

@@ -37,6 +37,9 @@ class Store(Protocol):
     def registered(self, namespace: str, dataset_id: str) -> bool:
         """Return whether stock Minari would list a dataset whose metadata is there."""
 
+    def holds(self, dataset_id: str) -> bool:
+        """Return whether the remote states, for every file of a dataset, the digest of the local file."""
+
     def upload_namespace(self, namespace: str) -> None:
         """Upload the local metadata of a namespace that the remote does not have."""
 
@@ -152,7 +155,7 @@ def _explanation(address: str, error: Exception) -> str:
     said = f"{type(error).__name__}: {lines[0][:200]}" if lines else type(error).__name__
     if status is not None and status in _REASONS:
         return f"{_REASONS[status]} ({said})"
-    if isinstance(error, ConnectionError) or "connect" in type(error).__name__.lower():
+    if any("connect" in type(each).__name__.lower() for each in (error, error.__cause__)):
         return f"cannot be reached ({said})"
     return said
 

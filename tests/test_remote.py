@@ -1,0 +1,348 @@
+"""Pushing and pulling: what is checked, what is refused, and what an interruption leaves."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import h5py
+import pytest
+
+from imujoco_minari import remotes, roots
+from imujoco_minari.cli.app import run
+from imujoco_minari.combining import combine_datasets
+from imujoco_minari.content import MAIN_FILE
+from imujoco_minari.errors import (
+    DatasetError,
+    DatasetExistsError,
+    DatasetNotFoundError,
+    DependencyError,
+    RemoteError,
+)
+from imujoco_minari.publishing import publish
+from imujoco_minari.remotes import card, pulling, pushing, stores
+from imujoco_minari.verification import screening
+
+HOPPER = "imujoco/hopper-massdec_25_leggeom-random-v0"
+BASE = "imujoco/hopper-base-random-v0"
+LINKED = "imujoco/hopper-both-v0"
+REMOTE = "gcp://bucket"
+
+
+class FolderStore:
+    """A remote that is a folder, in the layout of a bucket, and can be told to fail."""
+
+    shows_cards = True
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.uploads: list[str] = []
+        self.on_upload: Callable[[Path], None] = lambda file: None
+
+    def read(self, path: str) -> bytes | None:
+        file = self.folder / path
+        return file.read_bytes() if file.is_file() else None
+
+    def registered(self, namespace: str, dataset_id: str) -> bool:
+        return True
+
+    def holds(self, dataset_id: str) -> bool:
+        ours = roots.dataset_folder(dataset_id)
+        return all(self.read(f"{dataset_id}/{name}") == (ours / name).read_bytes() for name in stores.FILES)
+
+    def upload_namespace(self, namespace: str) -> None:
+        self._put(f"{namespace}/{roots.NAMESPACE_FILE}", b"{}")
+
+    def upload_dataset(self, dataset_id: str, text: str | None = None) -> None:
+        self._put(f"{dataset_id}/{stores.CARD}", (text or "").encode())
+        for name in stores.FILES:
+            self._put(f"{dataset_id}/{name}", (roots.dataset_folder(dataset_id) / name).read_bytes())
+
+    def upload_card(self, namespace: str, text: str) -> None:
+        self._put(f"{namespace}/{stores.CARD}", text.encode())
+
+    def download_dataset(self, dataset_id: str, path: Path) -> None:
+        for name in stores.FILES:
+            (path / dataset_id / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(self.folder / dataset_id / name, path / dataset_id / name)
+
+    def list_datasets(self, prefix: str | None = None) -> Iterator[str]:
+        for file in self.folder.rglob("metadata.json"):
+            yield file.parents[1].relative_to(self.folder).as_posix()
+
+    def _put(self, path: str, data: bytes) -> None:
+        file = self.folder / path
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(data)
+        self.uploads.append(path)
+        self.on_upload(file)
+
+
+@pytest.fixture(scope="module")
+def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A Minari root with two small datasets and a linked collection of them, made once."""
+    path = tmp_path_factory.mktemp("published")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MINARI_DATASETS_PATH", str(path))
+        for variant in ("hopper-massdec_25_leggeom", "hopper-base"):
+            publish(variant, tier="random", episodes=2)
+        combine_datasets([HOPPER, BASE], LINKED, link=True)
+    return path
+
+
+@pytest.fixture
+def store(published: Path, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FolderStore:
+    """A folder as the remote, and a root that holds what was published."""
+    shutil.copytree(published, root)
+    store = FolderStore(tmp_path / "remote")
+    for module in (pushing, pulling):
+        monkeypatch.setattr(module, "connect", lambda *args, **kwargs: store)
+    # Its child processes are tested with the verification; here they would take most of the time.
+    monkeypatch.setattr(screening, "survives", lambda data: None)
+    return store
+
+
+@pytest.fixture
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], Path]:
+    """Move on to another machine: an empty Minari root."""
+
+    def move() -> Path:
+        path = tmp_path / "elsewhere"
+        monkeypatch.setenv("MINARI_DATASETS_PATH", str(path))
+        return path
+
+    return move
+
+
+def files(root: Path, dataset_id: str) -> dict[str, bytes]:
+    return {name: (root / dataset_id / name).read_bytes() for name in stores.FILES}
+
+
+def edit_metadata(path: Path, **values: Any) -> None:
+    metadata = json.loads(path.read_text())
+    path.write_text(json.dumps(metadata | values))
+
+
+def test_what_is_pulled_is_what_was_pushed(
+    store: FolderStore, root: Path, elsewhere: Callable[[], Path]
+) -> None:
+    (pushed,) = remotes.push(HOPPER, REMOTE)
+    there = elsewhere()
+    (pulled,) = remotes.pull(HOPPER, REMOTE)
+    assert pushed.uploaded
+    assert pulled.downloaded
+    assert pulled.same_simulator
+    assert pulled.content_sha256 == pushed.content_sha256 != ""
+    assert files(there, HOPPER) == files(root, HOPPER)
+    assert pulled.path == there / HOPPER
+    assert sorted(path.name for path in there.iterdir()) == ["imujoco"]
+
+
+def test_the_namespace_comes_first_and_the_metadata_last(store: FolderStore) -> None:
+    remotes.push(HOPPER, REMOTE)
+    assert store.uploads[0] == "imujoco/namespace_metadata.json"
+    assert store.uploads[-2:] == [f"{HOPPER}/data/metadata.json", "imujoco/README.md"]
+
+
+def test_a_linked_collection_takes_its_sources_with_it_both_ways(
+    store: FolderStore, elsewhere: Callable[[], Path]
+) -> None:
+    assert [outcome.dataset_id for outcome in remotes.push(LINKED, REMOTE)] == [HOPPER, BASE, LINKED]
+    there = elsewhere()
+    assert [outcome.dataset_id for outcome in remotes.pull(LINKED, REMOTE)] == [HOPPER, BASE, LINKED]
+    with h5py.File(there / LINKED / "data" / MAIN_FILE) as file:
+        assert [file[f"episode_{i}"].attrs["variant"] for i in (0, 3)] == [
+            "hopper-massdec_25_leggeom",
+            "hopper-base",
+        ]
+
+
+def test_pushing_again_leaves_the_same_alone_and_refuses_another(store: FolderStore) -> None:
+    remotes.push(HOPPER, REMOTE)
+    count = len(store.uploads)
+    assert [outcome.uploaded for outcome in remotes.push(HOPPER, REMOTE)] == [False]
+    assert len(store.uploads) == count
+    publish("hopper-massdec_25_leggeom", tier="random", episodes=1, force=True)
+    with pytest.raises(DatasetExistsError, match=f"another {HOPPER}.*--force"):
+        remotes.push(HOPPER, REMOTE)
+    assert len(store.uploads) == count
+    assert remotes.push(HOPPER, REMOTE, force=True)[0].uploaded
+    assert store.holds(HOPPER)
+
+
+def test_a_damaged_dataset_is_not_pushed(store: FolderStore, root: Path) -> None:
+    with h5py.File(root / HOPPER / "data" / MAIN_FILE, "a") as file:
+        file["episode_0/actions"][0] += 1
+    with pytest.raises(DatasetError, match="not pushed, its check found"):
+        remotes.push(HOPPER, REMOTE)
+    assert store.uploads == []
+
+
+def test_damage_on_the_way_is_found_when_read_back_and_mended_by_pushing_again(store: FolderStore) -> None:
+    def damage(file: Path) -> None:
+        if file.name == MAIN_FILE:
+            file.write_bytes(file.read_bytes()[:-1] + b"?")
+
+    store.on_upload = damage
+    with pytest.raises(RemoteError, match=f"{MAIN_FILE} was read back, and is not what was uploaded"):
+        remotes.push(HOPPER, REMOTE)
+    store.on_upload = lambda file: None
+    assert remotes.push(HOPPER, REMOTE)[0].uploaded
+
+
+def test_an_interrupted_push_shows_nothing_and_goes_on(store: FolderStore) -> None:
+    def interrupt(file: Path) -> None:
+        if file.name == MAIN_FILE:
+            raise KeyboardInterrupt
+
+    store.on_upload = interrupt
+    with pytest.raises(KeyboardInterrupt):
+        remotes.push(HOPPER, REMOTE)
+    assert list(store.list_datasets()) == []
+    store.on_upload = lambda file: None
+    remotes.push(HOPPER, REMOTE)
+    assert list(store.list_datasets()) == [HOPPER]
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda data: (data / MAIN_FILE).write_bytes(b"not HDF5"), "check found"),
+        (lambda data: edit_metadata(data / "metadata.json", tier="expert"), "has changed"),
+        (
+            lambda data: edit_metadata(data / "metadata.json", dataset_id=BASE),
+            "dataset_id: is 'imujoco/hopper-base",
+        ),
+        (
+            lambda data: edit_metadata(data / "metadata.json", env_spec='{"entry_point": "os:system"}'),
+            "check found",
+        ),
+    ],
+)
+def test_what_is_damaged_on_the_remote_is_not_kept(
+    store: FolderStore, elsewhere: Callable[[], Path], damage: Callable[[Path], None], message: str
+) -> None:
+    remotes.push(HOPPER, REMOTE)
+    damage(store.folder / HOPPER / "data")
+    there = elsewhere()
+    with pytest.raises(DatasetError, match=message):
+        remotes.pull(HOPPER, REMOTE)
+    assert not roots.exists(HOPPER)
+    assert list(there.rglob("*.hdf5")) == []
+
+
+def test_data_of_another_simulator_is_kept_and_said_to_be(
+    store: FolderStore, elsewhere: Callable[[], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    remotes.push(HOPPER, REMOTE)
+    elsewhere()
+    monkeypatch.setattr(pulling, "version", lambda name: "0.0.1")
+    (pulled,) = remotes.pull(HOPPER, REMOTE)
+    assert pulled.downloaded
+    assert not pulled.same_simulator
+
+
+def test_pulling_leaves_alone_what_is_here_and_names_what_is_not_there(store: FolderStore) -> None:
+    assert [outcome.downloaded for outcome in remotes.pull(HOPPER, REMOTE)] == [False]
+    with pytest.raises(DatasetNotFoundError, match="gcp://bucket lists no imujoco/nothing-v0"):
+        remotes.pull("imujoco/nothing-v0", REMOTE)
+
+
+def test_a_batch_goes_on_past_a_failure_and_names_it(
+    store: FolderStore, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["push", "imujoco/nothing-v0", HOPPER, "--remote", REMOTE]) == 1
+    output = capsys.readouterr()
+    assert f"pushed {HOPPER} to {REMOTE}" in output.out
+    assert "error: imujoco/nothing-v0 is not in the Minari root" in output.err
+    assert "1 done, 1 failed" in output.err
+    assert run(["pull", HOPPER, "--remote", REMOTE, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)[0]["downloaded"] is False
+
+
+@pytest.mark.parametrize("address", ["bucket", "s3://bucket", "hf://", "gcp://a/b", "hf://user\n"])
+def test_a_malformed_address_is_told(address: str) -> None:
+    with pytest.raises(RemoteError, match=r"malformed remote .*valid: hf://<user> or gcp://<bucket>"):
+        stores.connect(address)
+
+
+@pytest.mark.parametrize(("address", "package"), [("hf://u", "huggingface_hub"), ("gcp://b", "google.cloud")])
+def test_a_missing_package_is_told_with_its_remedy(
+    address: str, package: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("huggingface", "gcp"):
+        monkeypatch.delitem(__import__("sys").modules, f"imujoco_minari.remotes.{name}", raising=False)
+    monkeypatch.setitem(__import__("sys").modules, package, None)
+    with pytest.raises(DependencyError, match=r'pip install "imujoco-minari\[remote\]"'):
+        stores.connect(address)
+
+
+def test_without_a_remote_the_command_says_how_to_name_one(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["pull", HOPPER]) == 1
+    assert "name a remote with --remote, or in MINARI_REMOTE" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("status", "address", "message"),
+    [
+        (404, "gcp://bucket", "there is no such bucket; make it first"),
+        (404, "hf://user", "there is no such user"),
+        (401, "hf://user", "the token is missing or not accepted"),
+        (403, "gcp://bucket", "the token does not allow this"),
+        (429, "hf://user", "wait and push again"),
+        (500, "hf://user", "OSError: server"),
+    ],
+)
+def test_an_error_of_the_remote_is_one_line_about_what_to_do(status: int, address: str, message: str) -> None:
+    error = OSError("server\nstack")
+    error.code = status  # type: ignore[attr-defined]
+    with pytest.raises(RemoteError, match=message) as raised, stores.explained(address):
+        raise error
+    assert "\n" not in str(raised.value)
+
+
+def test_a_mistake_of_ours_is_not_told_as_the_remotes() -> None:
+    with pytest.raises(TypeError), stores.explained(REMOTE):
+        len(3)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("rows", "name"),
+    [
+        (0, "n<1K"),
+        (999, "n<1K"),
+        (1000, "1K<n<10K"),
+        (99_999, "10K<n<100K"),
+        (10**6, "1M<n<10M"),
+        (10**9, "n>1B"),
+    ],
+)
+def test_sizes_are_the_hubs(rows: int, name: str) -> None:
+    assert card.size_category(rows) == name
+
+
+def test_a_card_says_what_a_dataset_is(published: Path) -> None:
+    text = card.dataset_card(published / HOPPER / "data", "hf://user")
+    head = text.split("---\n")[1]
+    assert "license: apache-2.0\n" in head
+    assert "size_categories:\n- n<1K\n" in head
+    assert "task_categories:\n- reinforcement-learning\n- robotics\n" in head
+    assert '- "minari"\n' in head
+    assert "| mass of leg | 2.78136 | 2.08602 | kg |" in text
+    assert "export MINARI_REMOTE=hf://user" in text
+    assert f'minari.load_dataset("{HOPPER}", download=True)' in text
+    assert "imujoco publish hopper-massdec_25_leggeom --episodes 2 --seed 0 --tier random" in text
+    assert "zenodo.org/records/7971395" in text
+    with h5py.File(published / HOPPER / "data" / MAIN_FILE) as file:
+        assert str(file.attrs["content_sha256"]) in text
+
+
+def test_the_card_of_a_namespace_lists_its_datasets(store: FolderStore) -> None:
+    remotes.push(LINKED, REMOTE)
+    text = (store.folder / "imujoco" / "README.md").read_text()
+    assert [line.split("`")[1] for line in text.splitlines() if line.startswith("| `")] == sorted(
+        [HOPPER, BASE, LINKED]
+    )
