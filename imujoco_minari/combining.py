@@ -69,8 +69,9 @@ def combine_datasets(
     folder = roots.dataset_folder(new_dataset_id)
     if folder.exists() and not force:
         raise DatasetExistsError(f"{new_dataset_id} is already there, at {folder}; it was left alone")
-    sources = [_source(dataset) for dataset in datasets_to_combine]
-    _check(sources)
+    with roots.failures_named():
+        sources = [_source(dataset) for dataset in datasets_to_combine]
+        _check(sources)
     with roots.staging(new_dataset_id) as staging_folder:
         staged = staging_folder / "dataset"
         staged.mkdir()
@@ -171,19 +172,21 @@ def _write(sources: Sequence[_Source], data: Path, linked_from: Path | None) -> 
         action_space=sources[0].storage.action_space,
     )
     attributes: list[dict[str, Any]] = []
-    steps = 0
+    steps, digests = 0, list[str]()
     with h5py.File(content.main_file(data), "w", track_order=True) as target:
         for source in sources:
             with h5py.File(source.file, "r") as file:
                 attributes += copying.shared_attributes(file, source.episodes, _COMMON)
                 if linked_from is None:
-                    steps += copying.copy_episodes(file, source.episodes, target, source.dataset_id)
+                    copied = copying.copy_episodes(file, source.episodes, target, source.dataset_id)
+                    steps += copied.steps
+                    digests += copied.digests
                 else:
                     path = relpath(source.file, linked_from)
                     copying.link_episodes(file, source.episodes, target, path)
                     steps += _steps(source, file)
         if linked_from is None:
-            target.attrs["content_sha256"] = copying.digest(target)
+            target.attrs["content_sha256"] = content.dataset_sha256(digests)
     storage.update_metadata({"total_episodes": len(attributes), "total_steps": steps})
     return attributes
 

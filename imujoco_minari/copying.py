@@ -7,7 +7,7 @@ comes on top goes through h5py's low level, whose high level would double it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
@@ -16,9 +16,18 @@ from h5py import h5a, h5g, h5o
 from imujoco_minari import content
 from imujoco_minari.recording import read_text, write_attribute
 
+_DIGEST = content.DIGEST.encode()
 
-def copy_episodes(source: h5py.File, episodes: Sequence[int], target: h5py.File, origin: str) -> int:
-    """Copy episodes, with all their attributes, behind those of ``target``; return how many steps they have.
+
+class Copied(NamedTuple):
+    """How many steps the copied episodes have, and the digest of each."""
+
+    steps: int
+    digests: list[str]
+
+
+def copy_episodes(source: h5py.File, episodes: Sequence[int], target: h5py.File, origin: str) -> Copied:
+    """Copy episodes, with all their attributes, behind those of ``target``; seal those that were not.
 
     Args:
         source: an open Minari file.
@@ -29,7 +38,7 @@ def copy_episodes(source: h5py.File, episodes: Sequence[int], target: h5py.File,
     Raises:
         KeyError: when an episode or its number of steps is missing.
     """
-    steps = 0
+    steps, digests = 0, []
     for place, number in enumerate(episodes, start=len(target)):
         name = b"episode_%d" % place
         h5o.copy(source.id, b"episode_%d" % number, target.id, name)
@@ -40,7 +49,11 @@ def copy_episodes(source: h5py.File, episodes: Sequence[int], target: h5py.File,
         h5a.open(group, b"id").write(np.array(place))
         if not h5a.exists(group, b"source"):
             write_attribute(group, "source", origin)
-    return steps
+        if not h5a.exists(group, _DIGEST):
+            # Its dataset was not published by this package.
+            content.seal_episode(target[name.decode()])
+        digests.append(read_text(group, content.DIGEST))
+    return Copied(steps, digests)
 
 
 def link_episodes(source: h5py.File, episodes: Sequence[int], target: h5py.File, path: str) -> None:
@@ -55,19 +68,6 @@ def link_episodes(source: h5py.File, episodes: Sequence[int], target: h5py.File,
         if not source.id.links.exists(name):
             raise KeyError(f"{name.decode()} is missing")
         links.create_external(b"episode_%d" % place, where, name)
-
-
-def digest(file: h5py.File) -> str:
-    """Return the content digest of a file of copied episodes; seal those that were not."""
-    digests = []
-    for number in range(len(file)):
-        name = f"episode_{number}"
-        group = h5g.open(file.id, name.encode())
-        if not h5a.exists(group, content.DIGEST.encode()):
-            # Some dataset was not published by this package, and its arrays have no digests yet.
-            content.seal_episode(file[name])
-        digests.append(read_text(group, content.DIGEST))
-    return content.dataset_sha256(digests)
 
 
 def shared_attributes(file: h5py.File, episodes: Sequence[int], keys: Sequence[str]) -> list[dict[str, Any]]:

@@ -275,7 +275,7 @@ def _join(parts: Sequence[Path], data: Path) -> None:
     with h5py.File(content.main_file(first), "a", track_order=True) as target:
         for other in others:
             with h5py.File(content.main_file(other), "r") as source:
-                steps += copying.copy_episodes(source, range(len(source)), target, "")
+                steps += copying.copy_episodes(source, range(len(source)), target, "").steps
             _remove(other)
         episodes = len(target)
     storage.update_metadata({"total_episodes": episodes, "total_steps": steps})
