@@ -28,6 +28,7 @@ _LOCK = "lock"
 _REPLACEMENT, _OLD = "replacement.json", "replaced"
 # Minari's grammar of ids, without the leading dots, double slashes and ".." that could leave the root.
 _DATASET_ID = re.compile(r"(?:[A-Za-z0-9_][-\w]*/)+[A-Za-z0-9_][-\w]*-v[0-9]{1,6}", re.ASCII)
+_HDF5_REASON = re.compile(r"error message = '([^']{1,200})'")
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 # What a system or a file system answers that does not have a call.
 _UNSUPPORTED = frozenset({errno.ENOSYS, errno.EINVAL, errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOLCK})
@@ -76,8 +77,31 @@ def exists(dataset_id: str) -> bool:
 
 
 @contextmanager
+def failures_named(place: Path | None = None) -> Iterator[None]:
+    """Raise what goes wrong with files as a StorageError that names the file, or else ``place``."""
+    try:
+        yield
+    except (OSError, RuntimeError) as error:
+        if isinstance(error, ImujocoError):
+            raise
+        if isinstance(error, OSError):
+            file, reason = error.filename, error.strerror or str(error)
+        else:
+            # HDF5 that fails to write as it closes a file, told by h5py without the error's number.
+            file, match = None, _HDF5_REASON.search(str(error))
+            if match is None:
+                raise
+            reason = match[1]
+        raise StorageError(
+            f"cannot use the Minari root, at {file or place or datasets_root()}: {reason}"
+        ) from None
+
+
+@contextmanager
 def staging(*dataset_ids: str) -> Iterator[Path]:
     """Make a locked staging folder in the root, and remove it at the end, whatever happens.
+
+    What goes wrong with files meanwhile is raised as a StorageError.
 
     Args:
         *dataset_ids: what will be committed from it; what stands in the way is told now, not after the work.
@@ -87,18 +111,15 @@ def staging(*dataset_ids: str) -> Iterator[Path]:
         StorageError: when the root cannot be written, then or later.
     """
     root = datasets_root() / STAGING
-    try:
+    with failures_named(root.parent):
         root.mkdir(parents=True, exist_ok=True)
         for dataset_id in dataset_ids:
             _check_place(dataset_folder(dataset_id))
         tidy()
         folder, lock = _locked_folder(root)
-    except OSError as error:
-        raise _storage_error(error, root.parent) from None
     try:
-        yield folder
-    except OSError as error:
-        raise _storage_error(error, root.parent) from None
+        with failures_named(root.parent):
+            yield folder
     finally:
         _discard(folder, lock)
         with suppress(OSError):
@@ -204,7 +225,7 @@ def commit(staged: Path, dataset_id: str, *, replace: bool = False) -> Path:
         StorageError: when the root cannot be written.
     """
     target = dataset_folder(dataset_id)
-    try:
+    with failures_named(target):
         _check_place(target)
         _sync(staged)
         make_namespace(dataset_id.rpartition("/")[0])
@@ -223,8 +244,6 @@ def commit(staged: Path, dataset_id: str, *, replace: bool = False) -> Path:
             if not _exchange(staged, target):
                 _replace_in_two_steps(staged, target, dataset_id)
         _sync_folder(target.parent)
-    except OSError as error:
-        raise _storage_error(error, target) from None
     return target
 
 
@@ -338,12 +357,3 @@ def _sync_folder(folder: Path) -> None:
             raise
     finally:
         os.close(handle)
-
-
-def _storage_error(error: OSError, place: Path) -> OSError:
-    """Return ``error`` as one of ours, which it may be already."""
-    if isinstance(error, ImujocoError):
-        return error
-    return StorageError(
-        f"cannot write to the Minari root, at {error.filename or place}: {error.strerror or error}"
-    )

@@ -164,7 +164,7 @@ class TestCommit:
 class TestRoot:
     def test_a_root_that_is_a_file(self, root: Path) -> None:
         root.write_text("")
-        with pytest.raises(StorageError, match="cannot write to the Minari root"), roots.staging():
+        with pytest.raises(StorageError, match="cannot use the Minari root"), roots.staging():
             pass
 
     def test_a_namespace_that_is_a_file(self, root: Path) -> None:
