@@ -23,6 +23,7 @@ from imujoco_minari.errors import DatasetNotFoundError, VariantError, suggestion
 from imujoco_minari.variants import Variant
 
 if TYPE_CHECKING:
+    from imujoco_minari.differences import Difference
     from imujoco_minari.importing.archive import Archive
     from imujoco_minari.importing.catalogue_diff import Departure
     from imujoco_minari.importing.original import OriginalVariant
@@ -150,10 +151,12 @@ def import_command(
         return
     for note in imported.notes:
         say(note)
-    out.print(
-        f"  of {near.rows} steps simulated again in {variant}, the largest deviation of a position is "
-        f"{near.position_median:.2g} in the median and {near.position_max:.2g} at most (m, rad)"
-    )
+    if near.rows:
+        out.print(
+            f"  {near.rows} of its steps, simulated again in {variant}, end elsewhere by "
+            f"{near.position_median:.2g} (m, rad) and {near.velocity_median:.2g} (m/s, rad/s) in the median, "
+            f"{near.position_max:.2g} and {near.velocity_max:.2g} at most"
+        )
 
 
 def _chosen(
@@ -184,28 +187,31 @@ def _say_ignored(archive: Archive) -> None:
 
 
 def _print_departures(departures: list[Departure]) -> None:
-    columns = ("variant", "compared with", "quantity", "ours", "original", "unit")
-    rows = [
-        [
-            departure.variant,
-            "the same id" if departure.same_id else departure.against,
-            difference.quantity,
-            f"{difference.before:.6g}",
-            f"{difference.after:.6g}",
-            difference.unit,
-        ]
-        for departure in departures
-        for difference in departure.differences
-    ]
-    if rows:
-        print_table(columns, rows, numeric=("ours", "original"))
-        out.print("")
+    from imujoco_minari.importing.catalogue_diff import common_differences
+
+    common = common_differences(departures)
+    for robot, shared in common.items():
+        out.print(f"[bold]{robot}[/], in most variants")
+        _print_differences(list(shared))
     for departure in departures:
+        shared = common.get(departure.variant.partition("-")[0], {})
+        own = [difference for difference in departure.differences if difference not in shared]
         if departure.error:
             say(f"{departure.variant}: {departure.error}")
+        elif own or not departure.same_id:
+            against = "" if departure.same_id else f", which our catalogue lacks, against {departure.against}"
+            out.print(f"[bold]{departure.variant}[/]{against}")
+            _print_differences(own)
     same = sum(not departure.differences and not departure.error for departure in departures)
     failed = sum(bool(departure.error) for departure in departures)
     out.print(
         f"models: {len(departures)} compared, {same} as ours, "
         f"{len(departures) - same - failed} different, {failed} unreadable"
     )
+
+
+def _print_differences(differences: list[Difference]) -> None:
+    rows = [[f"  {d.quantity}", f"{d.before:.6g}", f"{d.after:.6g}", d.unit] for d in differences]
+    if rows:
+        print_table(("  quantity", "ours", "original", "unit"), rows, numeric=("ours", "original"))
+    out.print("")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -82,6 +83,24 @@ def coverage(variants: Iterable[OriginalVariant], robot: str | None, category: s
     theirs = {str(variant) for variant in variants}
     ours = {str(variant) for variant in catalogue(robot, category)}
     return Coverage(*(tuple(sorted(ids)) for ids in (theirs & ours, theirs - ours, ours - theirs)))
+
+
+def common_differences(departures: Iterable[Departure]) -> dict[str, dict[Difference, int]]:
+    """Return, robot by robot, the differences that most of its variants share and how many do.
+
+    One line of the robot's model that gym had otherwise shows in every variant of it.
+    """
+    counts: dict[str, Counter[Difference]] = {}
+    totals: Counter[str] = Counter()
+    for departure in departures:
+        robot = departure.variant.partition("-")[0]
+        counts.setdefault(robot, Counter()).update(departure.differences)
+        totals[robot] += 1
+    shared = {
+        robot: {d: count for d, count in counter.items() if count > 2 and 2 * count > totals[robot]}
+        for robot, counter in counts.items()
+    }
+    return {robot: found for robot, found in shared.items() if found}
 
 
 def published_models() -> dict[OriginalVariant, str]:

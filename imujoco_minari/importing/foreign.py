@@ -138,7 +138,10 @@ def read_source(source: str, robot: str, columns: str | None = None) -> Source:
     except ImujocoError:
         raise DatasetNotFoundError(f"{source[:200]}: no such file, folder or dataset") from None
     if not folder.is_dir():
-        raise DatasetNotFoundError(f"{source} is neither a file nor in the Minari root, at {folder}")
+        raise DatasetNotFoundError(
+            f"{source} is neither a file nor in the Minari root, at {folder}; "
+            f"`minari download {source}` fetches a dataset of Minari's"
+        )
     return _minari(folder, robot)
 
 

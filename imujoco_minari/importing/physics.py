@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[Any]
 
-# Velocities of Hopper and Walker2d are clipped to this in observations (m/s, rad/s).
+# Velocities of the robots that can fall are clipped to this in observations (m/s, rad/s).
 CLIPPED = 10.0
 
 
@@ -25,15 +25,17 @@ CLIPPED = 10.0
 class Fidelity:
     """How far recorded steps are from the same steps simulated today.
 
-    Of each of ``rows`` steps the largest deviation of a position (m, rad) and of a velocity (m/s, rad/s)
-    counts; given are their median and maximum.
+    Of each of ``rows`` steps the largest deviation of a position (m, rad), of a velocity (m/s, rad/s) and
+    of the reward counts; given are their median and maximum, None where there is nothing to compare.
     """
 
     rows: int
-    position_median: float
-    position_max: float
-    velocity_median: float
-    velocity_max: float
+    position_median: float | None = None
+    position_max: float | None = None
+    velocity_median: float | None = None
+    velocity_max: float | None = None
+    reward_median: float | None = None
+    reward_max: float | None = None
 
     def asdict(self) -> dict[str, Any]:
         """Return the fields as a dict for JSON."""
@@ -81,25 +83,26 @@ class Physics:
         """Return, for each of the observations ``(n, size)``, whether an episode could begin with it."""
         return np.asarray((np.abs(observations - self._rest) <= self._reset_bounds).all(axis=1))
 
-    def fidelity(self, before: Array, actions: Array, after: Array) -> Fidelity:
-        """Compare recorded steps with the same steps simulated; clipped velocities are left out.
+    def fidelity(self, before: Array, actions: Array, after: Array, rewards: Array | None) -> Fidelity:
+        """Compare recorded steps with the same steps simulated; states that are not whole are left out.
 
         Args:
             before: observations ``(n, size)``.
             actions: what was done in them, ``(n, actions)``.
             after: the observations that followed.
+            rewards: what was given for them, ``(n,)``, or None.
         """
-        whole = (np.abs(before[:, self.positions :]) < CLIPPED).all(axis=1)
-        errors = [
-            np.abs(self.step(b, a)[0] - n)
-            for b, a, n in zip(before[whole], actions[whole], after[whole], strict=True)
-        ]
-        table = np.asarray(errors) if errors else np.full((1, before.shape[1]), np.nan)
-        position, velocity = table[:, : self.positions].max(axis=1), table[:, self.positions :].max(axis=1)
-        return Fidelity(
-            len(errors),
-            *(float(f(values)) for values in (position, velocity) for f in (np.median, np.max)),
-        )
+        velocities = np.abs(before[:, self.positions :])
+        whole = np.flatnonzero((velocities < CLIPPED).all(axis=1) | (not self.can_terminate))
+        if not len(whole):
+            return Fidelity(0)
+        observed, given = zip(*(self.step(before[row], actions[row]) for row in whole), strict=True)
+        errors = np.abs(np.array(observed) - after[whole])
+        position, velocity = errors[:, : self.positions].max(axis=1), errors[:, self.positions :].max(axis=1)
+        columns = [position, velocity]
+        if rewards is not None:
+            columns.append(np.abs(np.array(given) - rewards[whole]))
+        return Fidelity(len(whole), *(float(f(column)) for column in columns for f in (np.median, np.max)))
 
     def _set(self, observation: Array) -> None:
         self._raw.data.qacc_warmstart[:] = 0.0

@@ -182,7 +182,10 @@ def fidelity(transitions: Transitions, cut: Cut, physics: Physics) -> Fidelity:
     rows = np.flatnonzero(inner)
     rows = rows[:: max(1, len(rows) // _FIDELITY_ROWS)]
     return physics.fidelity(
-        transitions.observations[rows], transitions.actions[rows], transitions.observations[rows + 1]
+        transitions.observations[rows],
+        transitions.actions[rows],
+        transitions.observations[rows + 1],
+        None if transitions.rewards is None else transitions.rewards[rows],
     )
 
 
