@@ -62,6 +62,10 @@ class RemoteError(ImujocoError, ConnectionError):
     """A remote that is malformed, cannot be reached, or refuses."""
 
 
+class JobError(ImujocoError, RuntimeError):
+    """Work that cannot be handed to other processes or machines, or was lost with them."""
+
+
 class DependencyError(ImujocoError, ImportError):
     """An optional package is needed and not installed."""
 

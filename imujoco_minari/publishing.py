@@ -7,9 +7,11 @@ whole and has been checked, and what is interrupted was never visible.
 from __future__ import annotations
 
 import platform
+import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -17,15 +19,15 @@ from typing import Any
 import h5py
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
-from joblib import Parallel, delayed
 from minari.data_collector import EpisodeBuffer
 from minari.data_collector.callbacks import EpisodeMetadataCallback
 from minari.dataset.minari_storage import MinariStorage
 
 from imujoco_minari import content, copying, roots
 from imujoco_minari.collection import collect
-from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError
+from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError, JobError
 from imujoco_minari.mjcf import canonical_mjcf, mjcf_sha256
+from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies import Policy, load_policy
 from imujoco_minari.references import reference_scores
 from imujoco_minari.variants import EXPERT, Variant
@@ -224,13 +226,16 @@ def publish_all(
         recipes: what to publish; their order is kept with one job.
         jobs: how many are worked on at once, each in a process of its own.
         force: replace datasets that have the ids.
-        backend: joblib's back end; None is joblib's default, local processes.
+        backend: where; see :func:`imujoco_minari.parallel.run_jobs`.
+
+    Raises:
+        JobError: when the back end cannot be used.
     """
-    if jobs == 1:
-        yield from (_attempt(recipe, force) for recipe in recipes)
-        return
-    pool = Parallel(n_jobs=jobs, backend=backend, return_as="generator_unordered", batch_size=1)
-    yield from pool(delayed(_attempt)(recipe, force) for recipe in recipes)
+    work = partial(_attempt, force=force)
+    for number, outcome in run_jobs(work, recipes, jobs=jobs, backend=backend):
+        if isinstance(outcome, JobError):
+            outcome = Published(recipes[number].dataset_id, error=str(outcome))
+        yield outcome
 
 
 def _attempt(recipe: Recipe, force: bool) -> Published:
@@ -244,27 +249,26 @@ def _roll_out(recipe: Recipe, policy: Policy, data: Path, jobs: int, on_episode:
     """Record the recipe's episodes in ``data``, with several jobs in shares that are joined in order."""
     shares = np.array_split(np.arange(recipe.episodes), min(jobs * 4, recipe.episodes) if jobs > 1 else 1)
     if len(shares) == 1:
-        collect(
-            recipe.variant,
-            policy,
-            range(recipe.episodes),
-            recipe.seed,
-            data,
-            recipe.episode_attributes,
-            on_episode,
-        )
+        _record(recipe, policy, (range(recipe.episodes), data), on_episode)
         return
     parts = [data.with_name(f"share-{number}") for number in range(len(shares))]
-    pool = Parallel(n_jobs=jobs, return_as="generator", batch_size=1)
-    finished = pool(
-        delayed(collect)(recipe.variant, policy, share.tolist(), recipe.seed, part, recipe.episode_attributes)
-        for share, part in zip(shares, parts, strict=True)
-    )
-    for share, _ in zip(shares, finished, strict=True):
-        for _ in share:
+    work = [(share.tolist(), part) for share, part in zip(shares, parts, strict=True)]
+    for number, outcome in run_jobs(partial(_record, recipe, policy), work, jobs=jobs):
+        if isinstance(outcome, JobError):
+            raise outcome
+        for _ in shares[number]:
             if on_episode is not None:
                 on_episode()
     _join(parts, data)
+
+
+def _record(
+    recipe: Recipe, policy: Policy, share: tuple[Iterable[int], Path], on_episode: Progress | None = None
+) -> None:
+    """Record some of the recipe's episodes in a folder, in the place of what a lost worker left there."""
+    episodes, folder = share
+    shutil.rmtree(folder, ignore_errors=True)
+    collect(recipe.variant, policy, episodes, recipe.seed, folder, recipe.episode_attributes, on_episode)
 
 
 def _join(parts: Sequence[Path], data: Path) -> None:

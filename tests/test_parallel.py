@@ -1,0 +1,128 @@
+"""Jobs come back once each; a lost worker's are run again, whatever it took with it."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+import minari
+import pytest
+
+from imujoco_minari import roots
+from imujoco_minari.errors import DatasetError, DependencyError, JobError
+from imujoco_minari.parallel import ATTEMPTS, run_jobs
+from imujoco_minari.publishing import Recipe, publish, publish_all
+from imujoco_minari.variants import Variant
+
+pytestmark = [
+    # Joblib's processes are forked or kept beyond the call, and are reaped when the session ends.
+    pytest.mark.filterwarnings("ignore:.*worker.*:UserWarning"),
+    pytest.mark.filterwarnings("ignore::ResourceWarning"),
+]
+
+
+def double(number):
+    return 2 * number
+
+
+def refuse(number):
+    if number == 2:
+        raise DatasetError("two is refused")
+    return number
+
+
+def die_once(task):
+    """Kill the worker the first time that a job marked deadly is worked on."""
+    number, folder, deadly = task
+    if deadly:
+        try:
+            (Path(folder) / f"{number}").touch(exist_ok=False)
+        except FileExistsError:
+            return number
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def die(number):
+    if number == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def root_seen(_):
+    return str(roots.datasets_root())
+
+
+def test_one_job_works_here_and_in_order():
+    seen = []
+    assert list(run_jobs(seen.append, [3, 1, 2])) == [(0, None), (1, None), (2, None)]
+    assert seen == [3, 1, 2]
+
+
+def test_every_job_comes_back_once():
+    assert sorted(run_jobs(double, range(20), jobs=2)) == [(number, 2 * number) for number in range(20)]
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_what_a_job_raises_is_raised(jobs):
+    with pytest.raises(DatasetError, match="two is refused"):
+        list(run_jobs(refuse, range(4), jobs=jobs))
+
+
+def test_a_lost_workers_job_is_run_again(tmp_path):
+    tasks = [(number, str(tmp_path), number in (1, 4)) for number in range(6)]
+    assert sorted(run_jobs(die_once, tasks, jobs=2)) == [(number, number) for number in range(6)]
+    assert {path.name for path in tmp_path.iterdir()} >= {"1", "4"}
+
+
+def test_a_job_that_kills_every_worker_is_given_up_and_the_others_are_done():
+    results = dict(run_jobs(die, range(4), jobs=2))
+    lost = results.pop(1)
+    assert isinstance(lost, JobError)
+    assert f"lost with its worker {ATTEMPTS} times" in str(lost)
+    assert results == {0: 0, 2: 2, 3: 3}
+
+
+def test_workers_that_live_on_see_the_present_root(monkeypatch, tmp_path):
+    for name in ("one", "two"):
+        monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / name))
+        assert {result for _, result in run_jobs(root_seen, range(4), jobs=2)} == {str(tmp_path / name)}
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MINARI_DATASETS_PATH", "relative")
+    assert {result for _, result in run_jobs(root_seen, [0, 1], jobs=2)} == {str(tmp_path / "relative")}
+
+
+def test_an_unknown_back_end_is_named_with_the_valid_ones():
+    with pytest.raises(JobError, match=r"no back end 'slurm'; valid: loky, .*ray, dask"):
+        next(run_jobs(double, [1], backend="slurm"))
+
+
+@pytest.mark.parametrize("backend", ["ray", "dask"])
+def test_a_cluster_that_is_not_there_is_an_error_of_one_line(backend, monkeypatch):
+    monkeypatch.delenv("DASK_SCHEDULER_ADDRESS", raising=False)
+    monkeypatch.setenv("RAY_ADDRESS", "127.0.0.1:1")
+    with pytest.raises((JobError, DependencyError)) as caught:
+        next(run_jobs(double, [1], backend=backend))
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_the_content_does_not_depend_on_how_many_jobs(root):
+    variant = Variant.parse("hopper-base")
+    alone = publish(Recipe(variant, "random", 9, 4))
+    shared = publish(Recipe(variant, "random", 9, 4), jobs=2, force=True)
+    assert shared.created
+    assert shared.content_sha256 == alone.content_sha256
+    assert shared.steps == alone.steps
+    dataset = minari.load_dataset(alone.dataset_id)
+    assert [episode["id"] for episode in dataset.storage.get_episode_metadata(range(9))] == list(range(9))
+
+
+def test_many_are_published_by_several_and_a_failure_is_one_outcome(root):
+    recipes = [Recipe(Variant.parse(name), "random", 2) for name in ("hopper-base", "walker2d-base")]
+    recipes.append(Recipe(Variant.parse("hopper-base"), "nonsense", 2))
+    outcomes = {outcome.dataset_id: outcome for outcome in publish_all(recipes, jobs=2)}
+    assert set(outcomes) == {recipe.dataset_id for recipe in recipes}
+    assert [outcomes[recipe.dataset_id].created for recipe in recipes] == [True, True, False]
+    assert "nonsense" in outcomes[recipes[2].dataset_id].error
+    assert sorted(minari.list_local_datasets()) == sorted(recipe.dataset_id for recipe in recipes[:2])
