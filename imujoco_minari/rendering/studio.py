@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from types import TracebackType
 from typing import Any
 
@@ -65,7 +65,7 @@ class Studio:
             )
         return self._models[variant]
 
-    def shoot(self, variant: Variant, positions: Sequence[Any], camera: Camera) -> Iterator[Image]:
+    def shoot(self, variant: Variant, positions: Iterable[Any], camera: Camera) -> Iterator[Image]:
         """Yield a picture, of shape (height, width, 3), for each position and its place of the camera."""
         model = self.model(variant)
         data, option, view = mujoco.MjData(model), mujoco.MjvOption(), mujoco.MjvCamera()

@@ -1,0 +1,366 @@
+"""The gallery as files: what its pages hold, where they lead, what a second run draws again."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import minari
+import pytest
+
+from imujoco_minari import publish
+from imujoco_minari.cli.app import run
+from imujoco_minari.differences import differences
+from imujoco_minari.errors import DependencyError, PolicyError, RenderingError, StorageError
+from imujoco_minari.gallery import build, clips, entries
+from imujoco_minari.gallery.clips import ClipMaker
+from imujoco_minari.gallery.pages import short, snippets, summary
+from imujoco_minari.policies import RandomPolicy
+from imujoco_minari.rendering import gl
+from imujoco_minari.variants import Variant, catalogue
+
+LEG = Variant.parse("hopper-massdec_25_leggeom")
+FOOT = Variant.parse("hopper-lengthinc_50_footgeom")
+VOID = {"meta", "link", "img", "input", "wbr", "source", "br"}
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Stubs in the place of clips and portraits, for machines without OpenGL; names what was drawn."""
+    names: list[str] = []
+
+    def write_clip(maker: ClipMaker, motion: Any, path: Path) -> None:
+        path.parent.mkdir(exist_ok=True, parents=True)
+        path.write_bytes(b"clip")
+        names.append(str(motion.variant))
+
+    def write_portrait(maker: ClipMaker, variant: Variant, path: Path) -> None:
+        path.parent.mkdir(exist_ok=True, parents=True)
+        path.write_bytes(b"portrait")
+
+    monkeypatch.setattr(ClipMaker, "_write_clip", write_clip)
+    monkeypatch.setattr(ClipMaker, "_write_portrait", write_portrait)
+    return names
+
+
+class Page(HTMLParser):
+    """An HTML page, its tags balanced, as the tests look at it."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.open: list[str] = []
+        self.words: list[str] = []
+        self.feed(path.read_text("utf-8"))
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return re.sub(r"\s+", " ", "".join(self.words))
+
+    def all(self, tag: str) -> list[dict[str, str | None]]:
+        return [attrs for name, attrs in self.tags if name == tag]
+
+
+def site(folder: Path) -> list[Path]:
+    return [folder / "index.html", *sorted((folder / "variants").glob("*.html"))]
+
+
+def test_every_variant_has_a_card_and_a_page_and_every_link_leads_somewhere(
+    tmp_path: Path, drawn: list[str]
+) -> None:
+    folder = tmp_path / "site"
+    chosen = catalogue("hopper", "length")
+    built = build(folder, chosen)
+    assert (built.variants, built.drawn, built.failed) == (9, 9, {})
+    index = Page(folder / "index.html")
+    cards = [attrs for attrs in index.all("li") if attrs.get("class") == "card"]
+    assert len(cards) == 9
+    assert [attrs["href"] for attrs in index.all("a") if attrs["href"].startswith("variants/")] == [
+        f"variants/{variant}.html" for variant in (LEG.base, *chosen)
+    ]
+    for path in site(folder):
+        page = Page(path)
+        for tag, attribute in (
+            ("a", "href"),
+            ("img", "src"),
+            ("link", "href"),
+            ("script", "src"),
+            ("source", "src"),
+        ):
+            for attrs in page.all(tag):
+                target = attrs[attribute]
+                if target.startswith("#"):
+                    assert target[1:] in [attrs.get("id") for _, attrs in page.tags]
+                elif not target.startswith("data:"):
+                    assert (path.parent / target).is_file(), target
+
+
+def test_nothing_is_fetched_from_anywhere_else(tmp_path: Path, drawn: list[str]) -> None:
+    build(tmp_path / "site", [LEG])
+    for path in (tmp_path / "site").rglob("*"):
+        if path.suffix in (".html", ".css", ".js"):
+            assert not re.search(r"(https?:)?//\w|@import|fetch\(|XMLHttp", path.read_text("utf-8")), path
+
+
+def test_the_pages_can_be_used_without_a_mouse_or_eyes(tmp_path: Path, drawn: list[str]) -> None:
+    folder = tmp_path / "site"
+    build(folder, [LEG])
+    for path in site(folder):
+        page = Page(path)
+        assert page.all("html") == [{"lang": "en"}]
+        assert len(page.all("h1")) == len(page.all("main")) == 1
+        identifiers = [attrs["id"] for _, attrs in page.tags if "id" in attrs]
+        assert len(identifiers) == len(set(identifiers))
+        assert all("alt" in attrs for attrs in page.all("img"))
+        assert all(attrs["aria-label"] for attrs in page.all("video"))
+        assert all("controls" in attrs and "autoplay" not in attrs for attrs in page.all("video"))
+        assert all(attrs.get("scope") for attrs in page.all("th"))
+        for attrs in page.all("section"):
+            assert attrs.get("aria-labelledby", "use") in identifiers
+    index = (folder / "index.html").read_text("utf-8")
+    controls = re.findall(r"<label>[^<]+<(input|select)", index)
+    assert len(controls) == len(re.findall(r"<(?:input|select)\b", index)) == 6
+    assert 'aria-live="polite"' in index
+
+
+def test_a_page_tells_the_numbers_before_and_after(tmp_path: Path, drawn: list[str]) -> None:
+    build(tmp_path / "site", [FOOT])
+    text = Page(tmp_path / "site" / "variants" / f"{FOOT}.html").text
+    found = differences(FOOT)
+    assert found
+    for difference in found:
+        assert difference.quantity in text
+        assert f"{difference.before:.5g}" in text
+        assert f"{difference.after:.5g}" in text
+    assert "No expert policy is there for it yet" in text
+    assert "measured for this page" in text
+    base = Page(tmp_path / "site" / "variants" / "hopper-base.html")
+    assert "the robot of Gymnasium’s v5 environment" in base.text  # noqa: RUF001
+    assert len(base.all("video")) == 1
+
+
+def test_an_experts_record_is_told_and_sorted_by(
+    tmp_path: Path, drawn: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    evaluation = {"return_mean": 3183.5, "return_std": 12.0, "length_mean": 1000.0, "episodes": 100}
+    random = {"return_mean": 18.25, "return_std": 3.0, "length_mean": 22.0, "episodes": 100}
+    record = {"algorithm": "TQC", "evaluation": evaluation, "random": random}
+    monkeypatch.setattr(entries, "expert_record", lambda variant: record if variant == LEG else {})
+    monkeypatch.setattr(
+        clips, "choose_policy", lambda variant: (RandomPolicy(3), "expert" if variant == LEG else "random")
+    )
+    build(tmp_path / "site", [LEG])
+    cards = {
+        attrs["data-words"].split()[0]: attrs
+        for attrs in Page(tmp_path / "site" / "index.html").all("li")
+        if "data-words" in attrs
+    }
+    assert cards[str(LEG)]["data-return"] == "3183.5"
+    text = Page(tmp_path / "site" / "variants" / f"{LEG}.html").text
+    assert "3,184 ± 12.0" in text or "3,183 ± 12.0" in text
+    assert "18.2 ± 3.0" in text
+    assert "its expert policy" in text
+    assert f"imujoco publish {LEG} --tier" not in text
+
+
+def test_datasets_that_are_published_here_are_told(tmp_path: Path, drawn: list[str]) -> None:
+    published = publish(LEG, tier="random", episodes=3)
+    publish(FOOT, tier="random", episodes=2)
+    (score,) = entries.scores(LEG)
+    assert (score.tier, score.episodes, score.origin) == ("random", 3, "the published dataset")
+    assert score.return_mean == pytest.approx(published.return_mean)
+    assert score.return_std == pytest.approx(published.return_std)
+    (published.path / "data" / "main_data.hdf5").write_bytes(b"broken")
+    (score,) = entries.scores(LEG)
+    assert score.origin == "measured for this page"
+
+
+def test_the_lines_of_code_run(tmp_path: Path) -> None:
+    entry = entries.Entry(LEG, (), entries.scores(LEG), entries.Clip("random", 0.2, 10.0, True))
+    (_, shell, _), *pythons = snippets(entry)
+    assert shell.startswith("imujoco publish ")
+    assert run([*shell.split()[1:], "--episodes", "5"]) == 0
+    assert len(pythons) == 2
+    for _, text, language in pythons:
+        assert language == "Python"
+        scope: dict[str, Any] = {}
+        exec(text, scope)
+        if "dataset" in scope:
+            assert isinstance(scope["dataset"], minari.MinariDataset)
+            assert len(list(scope["episodes"])) == 5
+        else:
+            assert scope["observation"].shape == (11,)
+            scope["env"].close()
+
+
+@pytest.mark.parametrize(
+    ("name", "brief", "sentence"),
+    [
+        ("hopper-base", "unchanged", "Hopper (Hopper-v5), unchanged"),
+        ("hopper-massdec_25_leggeom", "mass of leggeom −25 %", "the mass of leg_geom changed by −25 %"),  # noqa: RUF001
+        ("walker2d-jointdec_50_legjoint", "range of legjoint −50 %", "the range of motion of leg_joint"),  # noqa: RUF001
+    ],
+)
+def test_a_variant_in_words(name: str, brief: str, sentence: str) -> None:
+    variant = Variant.parse(name)
+    assert short(variant).replace("\xa0", " ") == brief
+    assert sentence in summary(variant).replace("\xa0", " ")
+
+
+# Runs after the first
+
+
+def test_a_second_run_draws_nothing_and_needs_no_opengl(
+    tmp_path: Path, drawn: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = build(tmp_path / "site", [LEG])
+    pages = {path: path.read_bytes() for path in site(tmp_path / "site")}
+    monkeypatch.setattr(ClipMaker, "studio", property(lambda self: pytest.fail("drew")))
+    monkeypatch.setattr(entries, "measured_random", lambda variant: pytest.fail("measured"))
+    second = build(tmp_path / "site", [LEG])
+    assert (first.drawn, second.drawn) == (2, 0)
+    assert drawn == ["hopper-base", str(LEG)]
+    assert {path: path.read_bytes() for path in site(tmp_path / "site")} == pages
+
+
+def test_a_run_that_was_broken_off_goes_on(tmp_path: Path, drawn: list[str]) -> None:
+    folder, chosen = tmp_path / "site", catalogue("hopper", "friction")
+
+    def stop_after(count: int) -> Callable[[], None]:
+        def advance() -> None:
+            if len(drawn) == count:
+                raise KeyboardInterrupt
+
+        return advance
+
+    with pytest.raises(KeyboardInterrupt):
+        build(folder, chosen, on_variant=stop_after(2))
+    assert not (folder / "index.html").exists()
+    assert build(folder, chosen).drawn == 2
+    assert len(drawn) == len(set(drawn)) == 4
+
+
+def test_what_has_changed_or_is_gone_is_drawn_again(
+    tmp_path: Path, drawn: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "site"
+    build(folder, [LEG])
+    clips.clip_file(folder, LEG).unlink()
+    assert build(folder, [LEG]).drawn == 1
+    clips.portrait_file(folder, LEG.base).unlink()
+    assert build(folder, [LEG]).drawn == 1
+    monkeypatch.setattr(clips, "STYLE", 2)
+    assert build(folder, [LEG]).drawn == 2
+
+
+def test_a_site_keeps_the_variants_that_it_has(tmp_path: Path, drawn: list[str]) -> None:
+    folder = tmp_path / "site"
+    build(folder, [FOOT])
+    built = build(folder, [LEG])
+    assert (built.variants, built.drawn) == (3, 1)
+    names = [path.stem for path in site(folder)[1:]]
+    assert names == sorted(["hopper-base", str(LEG), str(FOOT)])
+
+
+def test_a_variant_outside_the_catalogue_can_be_shown(tmp_path: Path, drawn: list[str]) -> None:
+    variant = Variant.parse("hopper-massinc_37_torsogeom")
+    assert build(tmp_path / "site", [variant]).variants == 2
+    assert "+37" in (tmp_path / "site" / "index.html").read_text("utf-8")
+
+
+def test_a_folder_of_someone_elses_is_left_alone(tmp_path: Path, drawn: list[str]) -> None:
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(StorageError, match="no gallery and not empty"):
+        build(tmp_path, [LEG])
+    (tmp_path / "gallery.json").write_text("{}")
+    with pytest.raises(StorageError, match=r"gallery\.json is not what this version writes"):
+        build(tmp_path, [LEG])
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["gallery.json", "thesis.tex"]
+
+
+def test_a_variant_that_fails_is_named_and_the_others_are_shown(
+    tmp_path: Path, drawn: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    choose = clips.choose_policy
+
+    def broken(variant: Variant) -> Any:
+        if variant == LEG:
+            raise PolicyError("the weights are torn")
+        return choose(variant)
+
+    monkeypatch.setattr(clips, "choose_policy", broken)
+    assert run(["gallery", str(tmp_path / "site"), str(LEG), str(FOOT), "--json"]) == 1
+    told = capsys.readouterr()
+    assert f"{LEG}: the weights are torn" in told.err
+    assert json.loads(told.out)["failed"] == {str(LEG): "the weights are torn"}
+    index = (tmp_path / "site" / "index.html").read_text("utf-8")
+    assert str(FOOT) in index
+    assert str(LEG) not in index
+
+
+def test_without_opengl_nothing_is_half_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def no_studio(self: ClipMaker) -> Any:
+        raise RenderingError("no OpenGL to draw off-screen with")
+
+    monkeypatch.setattr(ClipMaker, "studio", property(no_studio))
+    assert run(["gallery", str(tmp_path / "site"), str(LEG)]) == 1
+    assert "no OpenGL" in capsys.readouterr().err
+    assert not (tmp_path / "site" / "index.html").exists()
+
+
+def test_a_missing_video_writer_is_told_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import sys
+
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(DependencyError, match=r"imujoco-minari\[render\]"):
+        build(tmp_path / "site", [LEG])
+
+
+def test_the_command_takes_the_filters_of_list(
+    tmp_path: Path, drawn: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["gallery", str(tmp_path / "site"), "--robot", "hopper", "--category", "friction"]
+    assert run(arguments) == 0
+    assert "4 variants and bases, 4 drawn anew" in capsys.readouterr().out
+    assert run([*arguments[:2], "--robot", "hoper"]) == 2
+    assert "did you mean 'hopper'" in capsys.readouterr().err
+
+
+# The pictures themselves
+
+
+def test_clips_and_portraits_are_drawn_and_small(tmp_path: Path) -> None:
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    try:
+        gl.backend()
+    except RenderingError as error:
+        pytest.skip(str(error))
+    folder = tmp_path / "site"
+    assert build(folder, [LEG]).drawn == 2
+    clip = clips.clip_file(folder, LEG)
+    frames, seconds = imageio_ffmpeg.count_frames_and_secs(str(clip))
+    assert frames >= 20
+    # It fell within a moment and then lies for a second.
+    assert 1.0 < seconds < 3.0
+    assert clip.stat().st_size < 100_000
+    assert 500 < clips.portrait_file(folder, LEG).stat().st_size < 20_000
