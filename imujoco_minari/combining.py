@@ -22,6 +22,14 @@ from minari.dataset.minari_storage import MinariStorage
 
 from imujoco_minari import content, copying, roots
 from imujoco_minari.errors import DatasetError, DatasetExistsError, DatasetNotFoundError, ImujocoError
+from imujoco_minari.importing.original import (
+    CATALOGUE,
+    ORIGINAL,
+    OriginalVariant,
+    is_original,
+    models_of,
+    originals_spec,
+)
 from imujoco_minari.registration import collection_spec, environment_spec
 from imujoco_minari.variants import EXPERT, NAMESPACE, Variant, catalogue
 from imujoco_minari.verification.identity import read_metadata
@@ -219,6 +227,7 @@ def _describe(
         "author": set().union(*(s.storage.metadata.get("author", set()) for s in sources)),
         "code_permalink": f"imujoco-minari=={version('imujoco-minari')}",
         "description": f"A collection of {len(attributes)} episodes out of {len(sources)} datasets.",
+        **({CATALOGUE: ORIGINAL} if is_original(sources[0].storage.metadata) else {}),
         "requirements": sorted({str(r) for s in sources for r in s.storage.metadata.get("requirements", [])}),
     }
     with h5py.File(content.main_file(data), "a") as file:
@@ -235,16 +244,38 @@ def _describe(
 def _env_spec(
     sources: Sequence[_Source], dataset_id: str, attributes: list[dict[str, Any]]
 ) -> EnvSpec | None:
+    if any(is_original(source.storage.metadata) for source in sources):
+        return originals_spec(_collection_name(dataset_id), _original_models(sources))
     names = list(dict.fromkeys(str(attrs["variant"]) for attrs in attributes if "variant" in attrs))
     if len(names) == 1:
         return environment_spec(names[0])
     if names:
-        name = dataset_id.rpartition("/")[2].rpartition("-v")[0]
-        return collection_spec(name, [Variant.parse(name) for name in names])
+        return collection_spec(_collection_name(dataset_id), [Variant.parse(name) for name in names])
     specs = [source.env_spec for source in sources]
     if any(spec != specs[0] for spec in specs):
         raise DatasetError("the datasets are of different environments, and none of them is a variant's")
     return specs[0]
+
+
+def _collection_name(dataset_id: str) -> str:
+    return dataset_id.rpartition("/")[2].rpartition("-v")[0]
+
+
+def _original_models(sources: Sequence[_Source]) -> dict[OriginalVariant, str]:
+    """Return the models of sources that all hold the original's variants, whose ids do not imply them."""
+    models: dict[OriginalVariant, str] = {}
+    for source in sources:
+        if not is_original(source.storage.metadata) or source.env_spec is None:
+            raise DatasetError(
+                f"{source.dataset_id} does not hold the original's variants, as others here do: "
+                "their environments differ even where their ids do not, and cannot be combined"
+            )
+        for variant, mjcf in models_of(source.env_spec.kwargs).items():
+            if models.setdefault(variant, mjcf) != mjcf:
+                raise DatasetError(
+                    f"{source.dataset_id}: its model of {variant} is not that of another source"
+                )
+    return models
 
 
 def _plain(value: Any) -> Any:

@@ -151,15 +151,16 @@ class CollectionEnv(gym.Env[Any, Any], EzPickle):
 
     def __init__(self, variants: Sequence[str], **kwargs: Any) -> None:
         EzPickle.__init__(self, variants, **kwargs)
-        parsed = [Variant.parse(variant) for variant in variants]
-        robots = sorted({variant.robot for variant in parsed})
+        self._begin([Variant.parse(variant) for variant in variants], kwargs)
+
+    def _begin(self, variants: Sequence[Variant], kwargs: dict[str, Any]) -> None:
+        robots = sorted({variant.robot for variant in variants})
         if len(robots) != 1:
             raise VariantError(
                 f"a collection holds variants of one robot, not of {', '.join(robots) or 'none'}"
             )
-        self.variants = tuple(str(variant) for variant in parsed)
+        self.variants = tuple(str(variant) for variant in variants)
         self.render_mode = kwargs.get("render_mode")
-        self._make = ENVIRONMENTS[robots[0]]
         self._kwargs = kwargs
         self._environments: dict[str, VariantEnv] = {}
         self._current = self._environment(self.variants[0])
@@ -210,5 +211,8 @@ class CollectionEnv(gym.Env[Any, Any], EzPickle):
 
     def _environment(self, name: str) -> VariantEnv:
         if name not in self._environments:
-            self._environments[name] = self._make(name, **self._kwargs)
+            self._environments[name] = self._make(name)
         return self._environments[name]
+
+    def _make(self, name: str) -> VariantEnv:
+        return ENVIRONMENTS[Variant.parse(name).robot](name, **self._kwargs)

@@ -6,11 +6,18 @@ package; the original used gym's v3, whose differences ``docs/original-archive.m
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from gymnasium.utils import EzPickle
 
-from imujoco_minari.envs import HalfCheetahVariantEnv, HopperVariantEnv, VariantEnv, Walker2dVariantEnv
+from imujoco_minari.envs import (
+    CollectionEnv,
+    HalfCheetahVariantEnv,
+    HopperVariantEnv,
+    VariantEnv,
+    Walker2dVariantEnv,
+)
 from imujoco_minari.importing.foreign_mjcf import check_text
 from imujoco_minari.importing.original import OriginalVariant
 
@@ -43,3 +50,28 @@ class OriginalHalfCheetahEnv(OriginalEnv, HalfCheetahVariantEnv):
 
 class OriginalWalker2dEnv(OriginalEnv, Walker2dVariantEnv):
     """``Walker2d-v5`` around a model of the archive."""
+
+
+ENVIRONMENTS: dict[str, type[OriginalEnv]] = {
+    "hopper": OriginalHopperEnv,
+    "halfcheetah": OriginalHalfCheetahEnv,
+    "walker2d": OriginalWalker2dEnv,
+}
+
+
+class OriginalCollectionEnv(CollectionEnv):
+    """One robot in many of the original's variants, one of them an episode.
+
+    Args:
+        models: ids of variants of one robot -> the texts of their models.
+        **kwargs: passed to each variant's environment.
+    """
+
+    def __init__(self, models: Mapping[str, str], **kwargs: Any) -> None:
+        EzPickle.__init__(self, models, **kwargs)
+        self._models = dict(models)
+        self._begin([OriginalVariant.parse(name) for name in models], kwargs)
+
+    def _make(self, name: str) -> VariantEnv:
+        robot = OriginalVariant.parse(name).robot
+        return ENVIRONMENTS[robot](name, self._models[name], **self._kwargs)

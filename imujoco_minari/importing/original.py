@@ -107,6 +107,39 @@ class OriginalVariant(Variant):
         )
 
 
+def originals_spec(name: str, models: Mapping[OriginalVariant, str]) -> EnvSpec:
+    """Return the Gymnasium spec of one original variant, or of a collection ``name`` of several.
+
+    Args:
+        name: of the collection, without namespace and version.
+        models: variant -> MJCF text.
+    """
+    if len(models) == 1:
+        ((variant, mjcf),) = models.items()
+        return variant.environment_spec(mjcf)
+    return EnvSpec(
+        id=f"{ORIGINAL}/{name}-v0",
+        entry_point="imujoco_minari.importing.environments:OriginalCollectionEnv",
+        max_episode_steps=MAX_EPISODE_STEPS,
+        kwargs={"models": {str(variant): mjcf for variant, mjcf in models.items()}},
+    )
+
+
+def models_of(arguments: Any) -> dict[OriginalVariant, str]:
+    """Return the models in the arguments of a spec that :func:`originals_spec` made; empty for another.
+
+    Raises:
+        VariantError: when they name no variant.
+    """
+    if not isinstance(arguments, Mapping):
+        return {}
+    models = arguments.get("models", {arguments.get("variant"): arguments.get("mjcf")})
+    if not isinstance(models, Mapping):
+        return {}
+    texts = {str(name): text for name, text in models.items() if isinstance(text, str)}
+    return {OriginalVariant.parse(name): text for name, text in texts.items()}
+
+
 def is_original(attributes: Mapping[str, Any]) -> bool:
     """Return whether the attributes of a dataset or an episode are those of an original variant."""
     return bool(attributes.get(CATALOGUE, "") == ORIGINAL)

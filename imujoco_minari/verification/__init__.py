@@ -16,7 +16,7 @@ from imujoco_minari import content, roots
 from imujoco_minari.errors import DatasetNotFoundError
 from imujoco_minari.verification import digests, screening, structure
 from imujoco_minari.verification.findings import MAX_FINDINGS, Finding, shown
-from imujoco_minari.verification.identity import identity, loadable, read_metadata
+from imujoco_minari.verification.identity import identity, loadable, original_models, read_metadata
 from imujoco_minari.verification.replay import replay
 
 __all__ = ["Finding", "inspect", "verify"]
@@ -105,4 +105,4 @@ def _checks(
         yield from identity(file, metadata)
         yield from digests.arrays(file, metadata)
         count = len(file) if replay_episodes is None else min(replay_episodes, len(file))
-        yield from replay(file, range(count), on_episode)
+        yield from replay(file, range(count), original_models(metadata), on_episode)

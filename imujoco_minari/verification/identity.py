@@ -15,7 +15,14 @@ import h5py
 
 from imujoco_minari import content
 from imujoco_minari.errors import ImujocoError
-from imujoco_minari.importing.original import CATALOGUE, OriginalVariant, variant_of
+from imujoco_minari.importing.original import (
+    CATALOGUE,
+    OriginalVariant,
+    is_original,
+    models_of,
+    originals_spec,
+    variant_of,
+)
 from imujoco_minari.mjcf import canonical_mjcf, mjcf_sha256
 from imujoco_minari.policies import SIZES
 from imujoco_minari.registration import collection_spec, environment_spec
@@ -57,6 +64,13 @@ def loadable(metadata: dict[str, Any]) -> Iterator[Finding]:
     for key in ("env_spec", "eval_env_spec"):
         if metadata.get(key) is not None:
             yield from _env_spec(f"metadata.json/{key}", metadata[key])
+
+
+def original_models(metadata: dict[str, Any]) -> dict[OriginalVariant, str]:
+    """Return the models of the original's variants that the dataset's environment holds, if it is of such."""
+    if not is_original(metadata) or not isinstance(metadata.get("env_spec"), str):
+        return {}
+    return models_of(json.loads(metadata["env_spec"]).get("kwargs"))
 
 
 def _is_box(text: Any) -> bool:
@@ -136,10 +150,12 @@ def _environment(file: h5py.File, metadata: dict[str, Any], variants: list[Varia
         yield Finding("metadata.json/env_spec", "is missing: no environment can be recovered")
         return
     spec = json.loads(metadata["env_spec"])
-    if isinstance(variants[0], OriginalVariant):
-        if len(variants) > 1:
-            return
-        expected = variants[0].environment_spec(str(file.attrs.get("mjcf")))
+    originals = [variant for variant in variants if isinstance(variant, OriginalVariant)]
+    if originals:
+        stated = models_of(spec.get("kwargs"))
+        if "mjcf" in file.attrs:
+            stated = {originals[0]: str(file.attrs["mjcf"])}
+        expected = originals_spec("", {variant: stated.get(variant, "") for variant in originals})
     elif len(variants) == 1:
         expected = environment_spec(variants[0])
     else:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import version
 from typing import Any
 
@@ -11,21 +11,34 @@ import h5py
 import numpy as np
 
 from imujoco_minari import content
-from imujoco_minari.importing.original import OriginalVariant, is_original, variant_of
+from imujoco_minari.importing.original import OriginalVariant, variant_of
 from imujoco_minari.registration import make
+from imujoco_minari.variants import Variant
 from imujoco_minari.verification.findings import Finding
 
 
-def replay(file: h5py.File, episodes: range, on_episode: Callable[[], None] | None) -> Iterator[Finding]:
-    """Replay episodes from their seeds and actions and compare, bit for bit."""
+def replay(
+    file: h5py.File,
+    episodes: range,
+    originals: Mapping[OriginalVariant, str],
+    on_episode: Callable[[], None] | None,
+) -> Iterator[Finding]:
+    """Replay episodes from their seeds and actions and compare, bit for bit.
+
+    Args:
+        file: the open HDF5 file.
+        episodes: numbers of those to replay; imported ones, which have no seed, are passed over.
+        originals: the models of the original's variants, which do not follow from their ids.
+        on_episode: called after each.
+    """
     environments: dict[str, gym.Env[Any, Any]] = {}
     try:
         for number in episodes:
             group = file[f"episode_{number}"]
             name = str(group.attrs["variant"])
-            if _can_replay(file, group):
+            if group.attrs.get(content.REPLAYABLE, True):
                 if name not in environments:
-                    environments[name] = _environment(file, group)
+                    environments[name] = _environment(variant_of(group.attrs), originals)
                 yield from _replay_episode(group, f"episode_{number}", environments[name])
             if on_episode is not None:
                 on_episode()
@@ -34,17 +47,9 @@ def replay(file: h5py.File, episodes: range, on_episode: Callable[[], None] | No
             env.close()
 
 
-def _can_replay(file: h5py.File, group: h5py.Group) -> bool:
-    # An original's model stands in its dataset; a collection of several holds none.
-    return bool(group.attrs.get(content.REPLAYABLE, True)) and (
-        not is_original(group.attrs) or "mjcf" in file.attrs
-    )
-
-
-def _environment(file: h5py.File, group: h5py.Group) -> gym.Env[Any, Any]:
-    variant = variant_of(group.attrs)
+def _environment(variant: Variant, originals: Mapping[OriginalVariant, str]) -> gym.Env[Any, Any]:
     if isinstance(variant, OriginalVariant):
-        return gym.make(variant.environment_spec(str(file.attrs["mjcf"])))
+        return gym.make(variant.environment_spec(originals[variant]))
     return make(variant)
 
 
