@@ -18,9 +18,7 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
-from rich.table import Table
 
-from imujoco_minari import __version__
 from imujoco_minari.errors import CatalogueError, ImujocoError, VariantError
 
 app = typer.Typer(
@@ -74,13 +72,20 @@ def print_json(value: Any) -> None:
 def print_table(
     columns: Sequence[str], rows: Sequence[Sequence[str]], *, numeric: Sequence[str] = ()
 ) -> None:
-    """Print rows of text as a table, with the columns named in ``numeric`` aligned to the right."""
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for column in columns:
-        table.add_column(column, justify="right" if column in numeric else "left", no_wrap=True)
-    for row in rows:
-        table.add_row(*(_escape(cell) for cell in row))
-    out.print(table)
+    """Print rows of text as a table, with the columns named in ``numeric`` aligned to the right.
+
+    Rich's own table takes 0.1 s for the catalogue, and cuts columns where it knows no terminal.
+    """
+    table = [list(columns), *(list(row) for row in rows)]
+    widths = [max(map(len, cells)) for cells in zip(*table, strict=True)]
+    align = [str.rjust if column in numeric else str.ljust for column in columns]
+    lines = [
+        "  ".join(place(cell, width) for place, cell, width in zip(align, row, widths, strict=True)).rstrip()
+        for row in table
+    ]
+    out.print(f"[bold]{_escape(lines[0])}[/]")
+    if rows:
+        out.print("\n".join(lines[1:]), markup=False)
 
 
 @contextmanager
@@ -105,6 +110,8 @@ def _escape(text: str) -> str:
 
 def _version(show: bool) -> None:
     if show:
+        from imujoco_minari import __version__
+
         out.print(f"imujoco-minari {__version__}")
         raise typer.Exit
 
