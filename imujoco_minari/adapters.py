@@ -26,7 +26,7 @@ def to_tianshou(data: Arrays) -> Any:
         from tianshou.data import ReplayBuffer
     except ImportError:
         raise _missing("tianshou", "to_tianshou()") from None
-    return ReplayBuffer.from_data(
+    buffer = ReplayBuffer.from_data(
         obs=data.observations,
         act=data.actions,
         rew=data.rewards,
@@ -35,6 +35,9 @@ def to_tianshou(data: Arrays) -> Any:
         done=data.dones,
         obs_next=data.next_observations,
     )
+    # from_data() (2.0.1) leaves this at 0, and the first step would count as the end of an episode.
+    buffer.last_index = np.array([len(data) - 1])
+    return buffer
 
 
 def to_d3rlpy(data: Arrays) -> Any:

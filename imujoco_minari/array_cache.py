@@ -32,18 +32,16 @@ _TABLE = "table.json"
 
 
 def cache_folder() -> Path:
-    """Return where entries lie: ``IMUJOCO_MINARI_CACHE``, or a folder of ``XDG_CACHE_HOME`` or ``~/.cache``.
+    """Return where entries lie: ``$IMUJOCO_HOME/arrays``, or ``~/.imujoco/arrays``.
 
     Raises:
         StorageError: when there is no home directory to put it in.
     """
-    if path := os.environ.get("IMUJOCO_MINARI_CACHE"):
-        return Path(path)
+    home = os.environ.get("IMUJOCO_HOME")
     try:
-        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        return (Path(home) if home else Path.home() / ".imujoco") / "arrays"
     except RuntimeError:
-        raise StorageError("no home directory for the cache: set IMUJOCO_MINARI_CACHE") from None
-    return home / "imujoco_minari" / "arrays"
+        raise StorageError("no home directory for the cache: set IMUJOCO_HOME") from None
 
 
 def key(

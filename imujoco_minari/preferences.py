@@ -49,7 +49,7 @@ class Preferences:
         for side, windows in (("first", self.first), ("second", self.second)):
             columns |= {f"{side}_{name}": array for name, array in windows._asdict().items()}
         with new_target(path, force=force) as staged, staged.open("wb") as file:
-            np.savez(file, **columns)
+            np.savez(file, **columns)  # type: ignore[arg-type]
 
 
 def preference_pairs(
@@ -126,4 +126,5 @@ def _tier_scores(data: Arrays, tiers: Sequence[str]) -> Array:
                 f"the data has the tier {origin.tier!r}{suggestion(origin.tier, places)}, "
                 f"which is not ranked among: {', '.join(tiers)}"
             )
-    return np.array([-float(places[origin.tier]) for origin in data.table])[data.variant_index]
+    scores: Array = np.array([-float(places[origin.tier]) for origin in data.table])
+    return scores[data.variant_index]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -22,3 +23,32 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     path = tmp_path / "imujoco"
     monkeypatch.setenv("IMUJOCO_HOME", str(path))
     return path
+
+
+# Random Hoppers fall within some twenty steps, so these are made in a second.
+SMALL_DATASETS = {
+    "imujoco/hopper-base-random-v0": 8,
+    "imujoco/hopper-massdec_25_leggeom-random-v0": 4,
+    "imujoco/hopper-frictiondec_50_feet-random-v0": 4,
+}
+
+
+@pytest.fixture(scope="session")
+def _small_datasets(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    from imujoco_minari.publishing import publish
+    from imujoco_minari.variants import parse_dataset_id
+
+    path = tmp_path_factory.mktemp("small")
+    with pytest.MonkeyPatch.context() as environment:
+        environment.setenv("MINARI_DATASETS_PATH", str(path))
+        for dataset_id, episodes in SMALL_DATASETS.items():
+            variant, tier = parse_dataset_id(dataset_id)
+            publish(variant, tier=tier, episodes=episodes)
+    return path
+
+
+@pytest.fixture
+def small_datasets(root: Path, _small_datasets: Path) -> list[str]:
+    """The ids of three small datasets in the test's root: 8, 4 and 4 episodes of random Hoppers, all terminated."""
+    shutil.copytree(_small_datasets, root)
+    return list(SMALL_DATASETS)

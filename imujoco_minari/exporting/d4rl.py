@@ -31,6 +31,7 @@ def write(data: Arrays, target: Path, *, states_only: bool) -> None:
     with h5py.File(target, "w") as file:
         for name, column in columns.items():
             file.create_dataset(name, data=column)
-        file["metadata/variants"] = [origin.variant for origin in data.table]
-        file["metadata/tiers"] = [origin.tier for origin in data.table]
-        file["metadata/variant_index"] = data.variant_index
+        file["infos/variant_index"] = data.variant_index
+        # As attributes: D4RL's sequence_dataset takes N entries of whatever array there is.
+        file.attrs["variants"] = [origin.variant for origin in data.table]
+        file.attrs["tiers"] = [origin.tier for origin in data.table]

@@ -12,17 +12,26 @@ import h5py
 import numpy as np
 
 from imujoco_minari.arrays import Arrays
+from imujoco_minari.errors import DatasetError
 
 
 def write(data: Arrays, target: Path, *, states_only: bool) -> None:
-    """Write ``data`` to the HDF5 file ``target``."""
+    """Write ``data`` to the HDF5 file ``target``.
+
+    Raises:
+        DatasetError: with ``states_only``; DI-engine's reader fails without actions.
+    """
+    if states_only:
+        raise DatasetError(
+            "DI-engine's HDF5Dataset needs actions: valid for states alone are d4rl, rlds, lerobot, npz"
+        )
     columns = {
         "obs": data.observations,
         "next_obs": data.next_observations,
+        "action": data.actions,
+        "reward": data.rewards,
         "done": data.terminations,
     }
-    if not states_only:
-        columns |= {"action": data.actions, "reward": data.rewards}
     with h5py.File(target, "w") as file:
         for name, column in columns.items():
             file.create_dataset(name, data=column.astype(np.float32))

@@ -141,7 +141,8 @@ def _parquet(path: Path, columns: dict[str, Any], index: tuple[str, list[str]] |
         name, labels = index
         table = table.append_column(name, pa.array(labels))
         # LeRobot looks tasks up in the index of a pandas frame, and pandas learns of one from this.
-        described = {"index_columns": [name], "columns": [], "column_indexes": [], "pandas_version": "2.0.0"}
+        labelled = {"name": name, "field_name": name, "pandas_type": "unicode", "numpy_type": "object"}
+        described = {"index_columns": [name], "columns": [labelled], "column_indexes": []}
         table = table.replace_schema_metadata({"pandas": json.dumps(described)})
     path.parent.mkdir(parents=True, exist_ok=True)
     parquet.write_table(table, path)
