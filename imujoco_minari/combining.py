@@ -75,7 +75,7 @@ def combine_datasets(
         DatasetError: when there is nothing to combine, or robots or spaces differ.
     """
     folder = roots.dataset_folder(new_dataset_id)
-    if folder.exists() and not force:
+    if roots.taken(new_dataset_id) and not force:
         raise DatasetExistsError(f"{new_dataset_id} is already there, at {folder}; it was left alone")
     with roots.failures_named():
         sources = [_source(dataset) for dataset in datasets_to_combine]

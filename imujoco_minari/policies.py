@@ -8,13 +8,16 @@ float32 rounding. A zip from outside is read without running anything that it co
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import resources
+from math import prod
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -22,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imujoco_minari.errors import PolicyError, PolicyNotFoundError
+from imujoco_minari.torch_file import TorchFile, read_entry
 from imujoco_minari.variants import EXPERT, Variant
 
 Array = NDArray[Any]
@@ -29,9 +33,11 @@ Array = NDArray[Any]
 # Observation and action sizes of the robots' v5 environments.
 SIZES = {"hopper": (11, 3), "halfcheetah": (17, 6), "walker2d": (17, 6)}
 # A default SAC zip holds 3 MB; anything near this is no policy of these robots.
-MAX_ZIP_ENTRY = 64 * 2**20
+MAX_ZIP_ENTRY, MAX_POLICY_FILE = 64 * 2**20, 256 * 2**20
 
 _LOG_STD_RANGE = (-20.0, 2.0)
+# What zipfile and json raise of a broken file.
+_BROKEN = (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, RuntimeError)
 _ACTIVATIONS = ("ReLU", "Tanh", "ELU", "SiLU")
 
 
@@ -301,6 +307,8 @@ def read_actor(path: Path, *, deterministic: bool = True) -> Actor:
     """
     if not path.is_file():
         raise PolicyNotFoundError(f"no policy file at {path}")
+    if path.stat().st_size > MAX_POLICY_FILE:
+        raise PolicyError(f"{path} has {path.stat().st_size} bytes; the limit is {MAX_POLICY_FILE}")
     if path.suffix == ".safetensors":
         return _actor_of(path.read_bytes(), str(path), "SAC", deterministic, {})
     if not zipfile.is_zipfile(path):
@@ -326,64 +334,35 @@ def _actor_of(
 def _read_zip(path: Path, deterministic: bool) -> Actor:
     """Read the actor out of a Stable-Baselines3 zip, of version 1 or 2.
 
-    Only ``policy.pth`` is decoded, by torch's reader that builds tensors and refuses everything else;
-    of ``data``, whose values are pickles, only the plain JSON text beside them is looked at.
+    Of ``data``, whose values are pickles, only the plain JSON text beside them is looked at.
     """
-    import io
-
-    import torch
-
     try:
         with zipfile.ZipFile(path) as archive:
-            state = torch.load(
-                io.BytesIO(_entry(archive, path, "policy.pth")), map_location="cpu", weights_only=True
+            state = TorchFile(io.BytesIO(read_entry(archive, "policy.pth", MAX_ZIP_ENTRY)))
+            settings = json.loads(read_entry(archive, "data", MAX_ZIP_ENTRY))
+        if not isinstance(settings, dict):
+            raise PolicyError("its data is no JSON object")
+        if settings.get("use_sde"):
+            raise PolicyError(
+                "the policy explores by gSDE, whose actor is not SAC's default; train without use_sde"
             )
-            settings = json.loads(_entry(archive, path, "data"))
-    except PolicyError:
-        raise
-    except Exception as error:  # torch and zipfile raise whatever a broken file makes them stumble on
-        raise PolicyError(f"{path}: not a readable Stable-Baselines3 zip: {_first_line(error)}") from None
-    if (
-        not isinstance(state, dict)
-        or not isinstance(settings, dict)
-        or not all(isinstance(k, str) for k in state)
-    ):
-        raise PolicyError(f"{path}: not a Stable-Baselines3 zip of a policy")
-    if settings.get("use_sde"):
-        raise PolicyError(
-            f"{path}: the policy explores by gSDE, whose actor is not SAC's default; train without use_sde"
-        )
-    weights = {
-        key.removeprefix("actor."): value.detach().to(torch.float32).numpy()
-        for key, value in state.items()
-        if key.startswith("actor.") and isinstance(value, torch.Tensor)
-    }
-    if "mu.weight" not in weights:
-        raise PolicyError(
-            f"{path}: holds no squashed Gaussian actor; valid: a zip of SAC or TQC with MlpPolicy"
-        )
-    try:
+        if "actor.mu.weight" not in state.tensors:
+            raise PolicyError("holds no squashed Gaussian actor; valid: a zip of SAC or TQC with MlpPolicy")
+        weights = {
+            key.removeprefix("actor."): state.read(key).astype(np.float32)
+            for key in state.tensors
+            if key.startswith("actor.")
+        }
         return Actor(
             weights,
             algorithm=_algorithm(state),
             deterministic=deterministic,
             activation=_activation(settings),
         )
-    except PolicyError as error:
-        raise PolicyError(f"{path}: {error}") from None
-
-
-def _entry(archive: zipfile.ZipFile, path: Path, name: str) -> bytes:
-    try:
-        info = archive.getinfo(name)
-    except KeyError:
-        raise PolicyError(f"{path}: no {name} inside: not a Stable-Baselines3 zip") from None
-    if info.file_size > MAX_ZIP_ENTRY:
+    except (PolicyError, *_BROKEN) as error:
         raise PolicyError(
-            f"{path}: {name} would unpack to {info.file_size} bytes; the limit is {MAX_ZIP_ENTRY}"
-        )
-    with archive.open(info) as stream:
-        return stream.read(MAX_ZIP_ENTRY)
+            f"{path}: not a readable Stable-Baselines3 zip of a policy: {_first_line(error)}"
+        ) from None
 
 
 def _activation(settings: dict[str, Any]) -> str:
@@ -395,12 +374,14 @@ def _activation(settings: dict[str, Any]) -> str:
     return str(named).rstrip("'>").rpartition(".")[2][:40]
 
 
-def _algorithm(state: dict[str, Any]) -> str:
+def _algorithm(state: TorchFile) -> str:
     """Name the algorithm by its critic: TQC's gives many quantiles where SAC's gives one value."""
     biases = [
-        value for key, value in state.items() if key.startswith("critic.qf0.") and key.endswith(".bias")
+        tensor.shape
+        for key, tensor in state.tensors.items()
+        if key.startswith("critic.qf0.") and key.endswith(".bias")
     ]
-    return "TQC" if biases and biases[-1].numel() > 1 else "SAC"
+    return "TQC" if biases and prod(biases[-1]) > 1 else "SAC"
 
 
 def _depth(weights: Mapping[str, Array]) -> int:

@@ -137,7 +137,7 @@ def publish(
     if not isinstance(variant, Recipe):
         variant = Recipe(Variant.parse(variant) if isinstance(variant, str) else variant, **options)
     recipe = variant
-    if roots.exists(recipe.dataset_id) and not force:
+    if roots.taken(recipe.dataset_id) and not force:
         return _summary(recipe.dataset_id, created=False)
     start = time.monotonic()
     policy = recipe.load_policy()
@@ -179,7 +179,7 @@ def publish_episodes(
         ImujocoError: when the root cannot be written, or the check of the staged dataset fails.
     """
     dataset_id = external.dataset_id
-    if roots.exists(dataset_id) and not force:
+    if roots.taken(dataset_id) and not force:
         return _summary(dataset_id, created=False)
     start = time.monotonic()
     with roots.staging(dataset_id) as folder:

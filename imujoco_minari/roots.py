@@ -76,6 +76,12 @@ def exists(dataset_id: str) -> bool:
     return True
 
 
+def taken(dataset_id: str) -> bool:
+    """Tidy the root, and return whether a dataset, or anything else, has this id."""
+    tidy()
+    return exists(dataset_id)
+
+
 @contextmanager
 def failures_named(place: Path | None = None) -> Iterator[None]:
     """Raise what goes wrong with files as a StorageError that names the file, or else ``place``."""
@@ -198,6 +204,8 @@ def tidy() -> None:
             os.close(lock)
             continue
         _discard(folder, lock)
+    with suppress(OSError):
+        (datasets_root() / STAGING).rmdir()
 
 
 def _discard(folder: Path, lock: int) -> None:

@@ -88,7 +88,7 @@ def _pull(store: Store, dataset_id: str, remote: str, force: bool, done: set[str
     if dataset_id in done:
         return
     done.add(dataset_id)
-    if roots.exists(dataset_id) and not force:
+    if roots.taken(dataset_id) and not force:
         yield Pulled(dataset_id, remote, roots.dataset_folder(dataset_id))
         return
     with explained(remote):

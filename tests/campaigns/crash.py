@@ -106,7 +106,7 @@ def visible(root: Path) -> dict[str, str]:
         findings = inspect(root / dataset_id / "data", replay_episodes=0)
         assert not findings, f"{dataset_id}: {findings[0]}"
         digests[dataset_id] = str(metadata.get("content_sha256", metadata["file_sha256"]))
-    for file in root.rglob(roots.NAMESPACE_FILE):
+    for file in (root / "imujoco").rglob(roots.NAMESPACE_FILE):
         json.loads(file.read_text())
     return digests
 
