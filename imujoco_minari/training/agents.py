@@ -14,7 +14,7 @@ import numpy as np
 from safetensors.numpy import load_file, save_file
 
 from imujoco_minari.errors import PolicyError, missing_dependency
-from imujoco_minari.policies import Actor, Array
+from imujoco_minari.policies import Actor, Array, policies_folder
 from imujoco_minari.training.hyperparameters import Hyperparameters
 
 _LAYERS = {
@@ -35,9 +35,13 @@ def make_agent(env: Any, settings: Hyperparameters, seed: int) -> Any:
     # XLA's threads are no faster on updates this small and would take the other jobs' cores.
     os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
     try:
+        import jax
         from sbx import TQC
     except ImportError:
         raise missing_dependency("sbx-rl", "train", "training") from None
+    if jax.config.jax_compilation_cache_dir is None:
+        # A sweep compiles the same few programs for every variant of a robot.
+        jax.config.update("jax_compilation_cache_dir", str(policies_folder().parent / "compiled"))
     return TQC(
         "MlpPolicy",
         env,

@@ -8,7 +8,6 @@ weights, to the bit, as one that was not (on the same processor and versions).
 from __future__ import annotations
 
 import json
-import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -19,7 +18,6 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from imujoco_minari.errors import TrainingError
 from imujoco_minari.policies import Array
 from imujoco_minari.registration import make
 from imujoco_minari.references import random_evaluation
@@ -131,20 +129,13 @@ class Run:
             restore_agent(self._agent, task.agent)
 
     def train(self, on_interval: Callable[[Progress], None] | None = None) -> dict[str, Any]:
-        """Train to the target or the last step, and return the record of the best actor.
-
-        Raises:
-            TrainingError: when the process that started a sweep has died.
-        """
-        parent = os.getppid()
+        """Train to the target or the last step, and return the record of the best actor."""
         if self.task.agent and not self.progress.intervals:
             self._judge_actor(time.monotonic())
         while not self.finished:
             self._interval()
             if on_interval is not None:
                 on_interval(self.progress)
-            if os.getppid() != parent:
-                raise TrainingError("the process that started this run is gone")
         return self._record()
 
     @property

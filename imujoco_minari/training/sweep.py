@@ -21,7 +21,7 @@ from imujoco_minari.errors import ImujocoError, PolicyNotFoundError, TrainingErr
 from imujoco_minari.policies import expert_record, policies_folder, expert_agent
 from imujoco_minari.training.agents import load_arrays, save_arrays
 from imujoco_minari.training.hyperparameters import SCRATCH, WARM, hyperparameters
-from imujoco_minari.training.run import Run, Task, write_json
+from imujoco_minari.training.run import Progress, Run, Task, write_json
 from imujoco_minari.variants import BASE, Variant
 
 # A variant's run ends when its actor is as good as this share of the base expert's return.
@@ -96,7 +96,8 @@ def train_all(variants: Sequence[Variant], plan: Plan, *, jobs: int = 1, backend
             yield from (_attempt(variant, plan) for variant in group)
         else:
             pool = Parallel(n_jobs=jobs, backend=backend, return_as="generator_unordered", batch_size=1)
-            yield from pool(delayed(_attempt)(variant, plan) for variant in group)
+            owner = os.getpid() if backend is None else None
+            yield from pool(delayed(_attempt)(variant, plan, owner) for variant in group)
 
 
 def install(folder: Path, record: dict[str, Any], policies: Path | None) -> None:
@@ -111,11 +112,17 @@ def install(folder: Path, record: dict[str, Any], policies: Path | None) -> None
     write_json(target / f"{name}.json", record)
 
 
-def _attempt(variant: Variant, plan: Plan) -> Trained:
-    if plan.nice:
-        os.nice(plan.nice)
+def _attempt(variant: Variant, plan: Plan, owner: int | None = None) -> Trained:
+    """Train in a process of the pool that the process ``owner`` keeps; None when it is no pool's."""
+
+    def stop_without_owner(progress: Progress) -> None:
+        if owner is not None and os.getppid() != owner:
+            raise TrainingError("the process that started this run is gone")
+
+    # Processes of a pool are used again, and must not sink deeper with every variant.
+    os.nice(max(0, plan.nice - os.nice(0)))
     try:
-        return train(variant, plan)
+        return train(variant, plan, stop_without_owner)
     except ImujocoError as error:
         return Trained(variant, error=str(error))
 

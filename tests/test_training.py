@@ -1,0 +1,141 @@
+"""Training, tiny but real: resumed to the bit, warm-started, finished once, and usable at once."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import minari
+import numpy as np
+import pytest
+
+from imujoco_minari.errors import CatalogueError, PolicyError, PolicyNotFoundError, TrainingError
+from imujoco_minari.policies import expert_actor, expert_record, expert_variants, policies_folder
+from imujoco_minari.publishing import publish
+from imujoco_minari.registration import make
+from imujoco_minari.rollouts import evaluate
+from imujoco_minari.training.agents import agent_arrays, load_arrays, make_agent, restore_agent, save_arrays
+from imujoco_minari.training.hyperparameters import SCRATCH, WARM, hyperparameters
+from imujoco_minari.training.run import CONFIRMING_SEED, Run, Task
+from imujoco_minari.training.sweep import Plan, train, train_all
+from imujoco_minari.variants import ROBOTS, Variant
+
+BASE = Variant.parse("hopper-base")
+LIGHT_LEG = Variant.parse("hopper-massdec_25_leggeom")
+TINY: dict[str, Any] = {
+    "exploration_steps": 150,
+    "evaluate_every": 100,
+    "max_steps": 350,
+    "batch_size": 16,
+    "ranking_episodes": 1,
+    "choosing_episodes": 2,
+    "confirming_episodes": 3,
+}
+
+
+@pytest.fixture
+def unshipped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hide the policies that the package ships, so that there is something left to train."""
+    monkeypatch.setattr("imujoco_minari.policies._places", lambda folder: (folder or policies_folder(),))
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_killed_run_ends_in_the_weights_of_one_that_was_not(tmp_path: Path) -> None:
+    task = Task(BASE, hyperparameters("hopper", SCRATCH, **TINY))
+    whole = Run(task, tmp_path / "whole")
+    record = whole.train()
+    broken = Run(task, tmp_path / "broken")
+    # Killed after the third of four intervals: nothing of it is left but what lies on the disk.
+    for _ in range(3):
+        broken._interval()
+    resumed = Run(task, tmp_path / "broken")
+    assert resumed.progress.steps == broken.progress.steps >= 250
+    again = resumed.train()
+    ours, theirs = (load_arrays(tmp_path / name / "checkpoint.safetensors") for name in ("whole", "broken"))
+    assert set(ours) == set(theirs)
+    differing = [name for name in ours if name != "progress" and not np.array_equal(ours[name], theirs[name])]
+    assert differing == []
+    assert again["weights_sha256"] == record["weights_sha256"]
+    assert again["evaluation"] == record["evaluation"]
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_variant_is_trained_from_its_base_and_published(tmp_path: Path, unshipped: None) -> None:
+    plan = Plan(tmp_path / "state", changes=TINY, target=1e9)
+    outcomes = list(train_all([LIGHT_LEG, BASE], plan))
+    assert [(outcome.variant, outcome.created, outcome.error) for outcome in outcomes] == [
+        (BASE, True, ""),
+        (LIGHT_LEG, True, ""),
+    ]
+    record = dict(expert_record(LIGHT_LEG))
+    assert record["start"] == "hopper-base"
+    assert record["algorithm"] == "TQC"
+    assert record["steps_trained"] >= 350
+    assert set(expert_variants()) >= {BASE, LIGHT_LEG}
+    # The record's evaluation is that of the very weights that lie beside it.
+    actor = expert_actor(LIGHT_LEG)
+    assert actor.sha256 == record["weights_sha256"]
+    measured = evaluate(make(LIGHT_LEG), actor, episodes=3, seed=CONFIRMING_SEED)
+    assert measured.asdict() == record["evaluation"]
+    # A finished one is never trained again.
+    before = sorted((path.name, path.stat().st_mtime_ns) for path in policies_folder().iterdir())
+    assert [outcome.created for outcome in train_all([LIGHT_LEG, BASE], plan)] == [False, False]
+    assert sorted((path.name, path.stat().st_mtime_ns) for path in policies_folder().iterdir()) == before
+    published = publish(LIGHT_LEG, episodes=3)
+    metadata = minari.load_dataset(published.dataset_id).storage.metadata
+    assert metadata["algorithm_name"] == "TQC"
+    assert metadata["ref_max_score"] == record["evaluation"]["return_mean"]
+    assert metadata["ref_min_score"] == record["random"]["return_mean"]
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_an_agent_is_restored_whole_or_refused(tmp_path: Path) -> None:
+    settings = hyperparameters("hopper", WARM, **TINY)
+    agent = make_agent(make(BASE), settings, seed=1)
+    save_arrays(tmp_path / "agent.safetensors", agent_arrays(agent))
+    other = make_agent(make(BASE), settings, seed=2)
+    arrays = load_arrays(tmp_path / "agent.safetensors")
+    restore_agent(other, arrays)
+    assert {name: array.tobytes() for name, array in agent_arrays(other).items()} == {
+        name: array.tobytes() for name, array in arrays.items()
+    }
+    with pytest.raises(PolicyError, match="does not fit: actor/"):
+        restore_agent(make_agent(make("walker2d-base"), settings, seed=0), arrays)
+
+
+def test_two_processes_do_not_train_one_variant(tmp_path: Path) -> None:
+    import fcntl
+
+    variant = Variant.parse("hopper-massinc_11_leggeom")
+    folder = tmp_path / "state" / str(variant)
+    folder.mkdir(parents=True)
+    with (folder / "lock").open("w") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        with pytest.raises(TrainingError, match="hopper-massinc_11_leggeom is being trained"):
+            train(variant, Plan(tmp_path / "state", tmp_path / "policies", scratch=True, changes=TINY))
+
+
+def test_a_variant_without_a_base_agent_says_what_to_train_first(tmp_path: Path, unshipped: None) -> None:
+    with pytest.raises(PolicyNotFoundError, match="`imujoco train hopper-base` first, or train with --scratch"):
+        train(LIGHT_LEG, Plan(tmp_path / "state"))
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_hyperparameters_are_layered_and_checked(robot: str) -> None:
+    scratch, warm = hyperparameters(robot, SCRATCH), hyperparameters(robot, WARM)
+    assert warm.max_steps < scratch.max_steps
+    assert hyperparameters(robot, WARM, max_steps=7).max_steps == 7
+    with pytest.raises(CatalogueError, match="unknown hyperparameter 'gama'"):
+        hyperparameters(robot, WARM, gama=0.9)
+
+
+def test_a_broken_record_is_named(home: Path) -> None:
+    folder = policies_folder()
+    folder.mkdir(parents=True)
+    (folder / "hopper-massinc_12_leggeom.json").write_text("{")
+    with pytest.raises(PolicyError, match="not a training record"):
+        expert_record(Variant.parse("hopper-massinc_12_leggeom"))
+    (folder / "hopper-massinc_12_leggeom.json").write_text(json.dumps({"algorithm": "TQC"}))
+    with pytest.raises(PolicyNotFoundError, match="but not its weights"):
+        expert_actor(Variant.parse("hopper-massinc_12_leggeom"))
