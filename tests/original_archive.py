@@ -57,17 +57,20 @@ def gym_xml(variant: str) -> str:
     """The XML of a variant, perturbed as the original's were: by hand, in gym's text."""
     parsed = OriginalVariant.parse(variant)
     root = gym_root(parsed.robot)
-    for element in root.iter("joint" if parsed.category == "joint" else "geom"):
-        if (element.get("name") or "").replace("_", "") == parsed.body:
-            if parsed.category == "mass":
-                element.set("density", repr(1000 * parsed.factor))
-            elif parsed.category == "joint":
-                element.set("range", _text(_numbers(element.get("range")) * parsed.factor))
-            elif parsed.category == "friction":
-                element.set("friction", repr(float(element.get("friction", "0.4")) * parsed.factor))
-            elif parsed.category == "length":
-                radius, half = _numbers(element.get("size"))
-                element.set("size", _text([radius, half * parsed.factor]))
+    (element,) = (
+        element
+        for element in root.iter("joint" if parsed.category == "joint" else "geom")
+        if (element.get("name") or "").replace("_", "") == parsed.body
+    )
+    if parsed.category == "mass":
+        element.set("density", repr(1000 * parsed.factor))
+    elif parsed.category == "joint":
+        element.set("range", _text(_numbers(element.get("range")) * parsed.factor))
+    elif parsed.category == "friction":
+        element.set("friction", repr(float(element.get("friction", "0.4")) * parsed.factor))
+    else:
+        radius, half = _numbers(element.get("size"))
+        element.set("size", _text([radius, half * parsed.factor]))
     if parsed.robot == "hopper":
         # As gym's file had it; MuJoCo of the time read 0.13 and stopped.
         foot = next(body for body in root.iter("body") if body.get("name") == "foot")
@@ -93,7 +96,9 @@ def actor_state(robot: str, seed: int = 0) -> dict[str, torch.Tensor]:
     for critic in ("critic", "critic_target"):
         for number in range(2):
             state |= layer(f"{critic}.qf{number}.0", observation + action, HIDDEN)
-            state |= layer(f"{critic}.qf{number}.2", HIDDEN, HIDDEN) | layer(f"{critic}.qf{number}.4", HIDDEN, 1)
+            state |= layer(f"{critic}.qf{number}.2", HIDDEN, HIDDEN) | layer(
+                f"{critic}.qf{number}.4", HIDDEN, 1
+            )
     return state
 
 
@@ -160,7 +165,11 @@ def table(
 
 
 def write_archive(
-    place: Path, variants: tuple[str, ...], *, episodes: int = 3, columns: tuple[str, ...] = ("reward", "done")
+    place: Path,
+    variants: tuple[str, ...],
+    *,
+    episodes: int = 3,
+    columns: tuple[str, ...] = ("reward", "done"),
 ) -> Path:
     """An unpacked archive of some variants."""
     for part in ("xml", "policies", "dataset"):
@@ -168,9 +177,7 @@ def write_archive(
     for variant in variants:
         (place / "xml" / f"{variant}.xml").write_text(gym_xml(variant), "utf-8")
         write_sb3_zip(place / "policies" / f"sac-{variant}.zip", variant.partition("-")[0])
-        np.savez_compressed(
-            place / "dataset" / f"sac-{variant}.npz", data=table(variant, episodes, columns)
-        )
+        np.savez_compressed(place / "dataset" / f"sac-{variant}.npz", data=table(variant, episodes, columns))
     return place
 
 

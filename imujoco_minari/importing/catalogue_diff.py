@@ -13,7 +13,7 @@ import numpy as np
 
 from imujoco_minari import content, roots
 from imujoco_minari.differences import Difference, model_differences
-from imujoco_minari.errors import ImujocoError, VariantError
+from imujoco_minari.errors import ImujocoError
 from imujoco_minari.importing.archive import Archive
 from imujoco_minari.importing.foreign_mjcf import canonical_foreign_mjcf
 from imujoco_minari.importing.original import ORIGINAL, OriginalVariant
@@ -112,7 +112,7 @@ def published_models() -> dict[OriginalVariant, str]:
                 variant = OriginalVariant.parse(str(file.attrs["variant"]))
                 # What lies in the root may come from anywhere, as a dataset that was pulled does.
                 text = canonical_foreign_mjcf(str(file.attrs["mjcf"]), variant.robot, folder.name)
-        except (OSError, KeyError, VariantError):
+        except (OSError, KeyError, ImujocoError):
             continue
         models.setdefault(variant, text)
     return models

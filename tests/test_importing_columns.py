@@ -1,0 +1,223 @@
+"""Which column is what, where episodes end, and what is simulated where a table lacks it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import original_archive
+import pytest
+
+from imujoco_minari.errors import DatasetError
+from imujoco_minari.importing.columns import layout, read_table
+from imujoco_minari.importing.foreign_mjcf import canonical_foreign_mjcf
+from imujoco_minari.importing.original import OriginalVariant
+from imujoco_minari.importing.physics import Physics
+from imujoco_minari.importing.transitions import Transitions, cut, episodes, fidelity
+
+HOPPER, CHEETAH = "hopper-massdec_25_leggeom", "halfcheetah-jointdec_25_bfoot"
+Simulator = Callable[[str], Physics]
+
+
+@pytest.fixture
+def physics() -> Any:
+    """Makes simulators of original variants, and closes them."""
+    made: list[Physics] = []
+
+    def make(name: str) -> Physics:
+        variant = OriginalVariant.parse(name)
+        text = canonical_foreign_mjcf(original_archive.gym_xml(name), variant.robot, name)
+        made.append(Physics(variant.environment_spec(text)))
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.__exit__()
+
+
+@pytest.mark.parametrize("variant", [HOPPER, CHEETAH, "walker2d-massinc_50_torsogeom"])
+@pytest.mark.parametrize(
+    "columns",
+    [
+        ("reward", "done"),
+        ("next_observation", "done"),
+        ("reward", "next_observation", "done"),
+        ("next_observation", "reward", "done"),
+        ("done",),
+    ],
+)
+def test_the_columns_are_detected(variant: str, columns: tuple[str, ...]) -> None:
+    table = original_archive.table(variant, 2, columns)
+    transitions, found, checks = read_table(table, variant.partition("-")[0], "t")
+    assert str(found) == ",".join(("observation", "action", *columns))
+    assert all(check.passed for check in checks)
+    assert len(transitions) == len(table)
+    assert (transitions.rewards is None) == ("reward" not in columns)
+    assert transitions.observations.dtype == np.float64
+    assert transitions.actions.dtype == np.float32
+
+
+def test_float32_tables_are_detected_too() -> None:
+    table = original_archive.table(HOPPER, 3, ("reward", "next_observation", "done")).astype(np.float32)
+    assert str(read_table(table, "hopper", "t")[1]) == "observation,action,reward,next_observation,done"
+
+
+def test_a_column_that_is_no_reward_is_named_and_asked_for() -> None:
+    table = original_archive.table(HOPPER, 4, ("odd", "done"))
+    with pytest.raises(DatasetError) as raised:
+        read_table(table, "hopper", "sac.npz")
+    message = str(raised.value)
+    assert "sac.npz: has 16 columns, 14 of them hopper's observation and action" in message
+    assert "the reward follows the robot's formula: no" in message
+    assert "--columns observation,action,reward,done" in message
+
+
+def test_columns_of_no_known_number_are_asked_for() -> None:
+    table = original_archive.table(HOPPER, 3, ("odd", "odd", "odd", "done"))
+    with pytest.raises(
+        DatasetError, match="the 4 others are not reward, next observation and done.*--columns"
+    ):
+        read_table(table, "hopper", "t")
+    transitions, found, _ = read_table(table, "hopper", "t", "observation, action, skip:3, done")
+    assert str(found) == "observation,action,skip:3,done"
+    assert transitions.rewards is None
+
+
+def test_what_the_user_states_is_believed_and_its_checks_are_kept() -> None:
+    table = original_archive.table(HOPPER, 4, ("odd", "done"))
+    transitions, _, checks = read_table(table, "hopper", "t", "observation,action,reward,done")
+    np.testing.assert_array_equal(transitions.rewards, table[:, 14])
+    assert [check.passed for check in checks] == [True, True, False]
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ("observation,action,rewards,done", "unknown column 'rewards' .did you mean 'reward'"),
+        ("observation,action,reward", "the columns need done"),
+        ("observation,action,reward,reward,done", "may repeat"),
+        ("observation,action,skip:x,done", "skip:<how many>"),
+        ("observation:3,action,done", "only skip takes a number"),
+        ("observation,action,skip:4,done", "has 16 columns, but .* makes 19"),
+        ("done,observation,action,reward", "the done column is 0 or 1: no, it holds 1.2"),
+    ],
+)
+def test_columns_that_do_not_fit_are_refused(columns: str, message: str) -> None:
+    with pytest.raises(DatasetError, match=message):
+        read_table(original_archive.table(HOPPER, 2), "hopper", "t", columns)
+
+
+def test_a_table_of_another_robot_or_of_nothing_is_refused() -> None:
+    with pytest.raises(DatasetError, match="has 16 columns"):
+        read_table(original_archive.table(HOPPER, 2), "walker2d", "t")
+    with pytest.raises(DatasetError, match="not rows of columns"):
+        read_table(np.zeros(5), "hopper", "t")
+    table = original_archive.table(HOPPER, 2)
+    table[3, 2] = np.nan
+    with pytest.raises(DatasetError, match="not finite"):
+        read_table(table, "hopper", "t", "observation,action,reward,done")
+    table = original_archive.table(HOPPER, 2)
+    table[:, 12] *= 3
+    with pytest.raises(DatasetError, match="actions lie within -1 and 1: no, the largest is"):
+        read_table(table, "hopper", "t")
+
+
+def test_layouts_print_what_they_were_read_from() -> None:
+    text = "observation,action,skip:2,reward,terminated,done"
+    assert str(layout(text, "hopper")) == text
+    assert layout(text, "hopper").width == 11 + 3 + 2 + 1 + 1 + 1
+
+
+def test_the_final_observation_is_simulated_where_the_table_has_none(physics: Simulator) -> None:
+    whole = original_archive.table(HOPPER, 3, ("reward", "next_observation", "done"))
+    simulator = physics(HOPPER)
+    transitions, _, _ = read_table(whole, "hopper", "t")
+    expected = list(episodes(transitions, cut(transitions, simulator), simulator))
+    bare = np.delete(whole, np.s_[15:26], axis=1)
+    transitions, _, _ = read_table(bare, "hopper", "t")
+    found = cut(transitions, simulator)
+    assert found.simulate_final
+    for mine, theirs in zip(episodes(transitions, found, simulator), expected, strict=True):
+        np.testing.assert_allclose(mine.observations, theirs.observations, rtol=0, atol=1e-9)
+        np.testing.assert_array_equal(mine.observations[:-1], theirs.observations[:-1])
+        assert mine.terminations[-1]
+        assert not mine.truncations.any()
+        assert not mine.terminations[:-1].any()
+
+
+def test_a_next_observation_that_is_the_next_reset_is_not_taken(physics: Simulator) -> None:
+    table = original_archive.table(HOPPER, 4, ("reward", "next_observation", "done"))
+    ends = np.flatnonzero(table[:, -1])[:-1]
+    table[ends, 15:26] = table[ends + 1, :11]
+    simulator = physics(HOPPER)
+    transitions, _, _ = read_table(table, "hopper", "t")
+    found = cut(transitions, simulator)
+    assert found.simulate_final
+    first = next(episodes(transitions, found, simulator))
+    assert not np.allclose(first.observations[-1], table[ends[0] + 1, :11], atol=0.05)
+
+
+def test_missing_rewards_are_simulated(physics: Simulator) -> None:
+    table = original_archive.table(CHEETAH, 1, ("reward", "done"))[:200]
+    simulator = physics(CHEETAH)
+    transitions, _, _ = read_table(np.delete(table, 23, axis=1), "halfcheetah", "t")
+    found = cut(transitions, simulator)
+    (episode,) = episodes(transitions, found, simulator)
+    np.testing.assert_allclose(episode.rewards, table[:, 23], atol=1e-9)
+    assert any("no rewards" in note for note in found.notes)
+
+
+def test_episodes_that_only_the_time_limit_ends_are_found(physics: Simulator) -> None:
+    table = original_archive.table(CHEETAH, 2)
+    table[:, -1] = 0
+    simulator = physics(CHEETAH)
+    transitions, _, _ = read_table(table, "halfcheetah", "t")
+    found = cut(transitions, simulator)
+    assert found.bounds == ((0, 1000), (1000, 2000))
+    first = next(episodes(transitions, found, simulator))
+    assert first.truncations[-1]
+    assert not first.terminations.any()
+
+
+def test_a_reset_that_no_flag_announces_is_found(physics: Simulator) -> None:
+    table = original_archive.table(HOPPER, 4)
+    ends = np.flatnonzero(table[:, -1])
+    # As in a loop of so many steps, which begins anew with no flag.
+    table = np.delete(table, ends[1], axis=0)
+    simulator = physics(HOPPER)
+    transitions, _, _ = read_table(table, "hopper", "t")
+    found = cut(transitions, simulator)
+    assert [stop - start for start, stop in found.bounds] == [
+        ends[0] + 1,
+        ends[1] - ends[0] - 1,
+        ends[2] - ends[1],
+        ends[3] - ends[2],
+    ]
+    assert "1 episodes end at a reset that the source does not mark." in found.notes
+    ended = [(e.terminations[-1], e.truncations[-1]) for e in episodes(transitions, found, simulator)]
+    assert ended == [(True, False), (False, True), (True, False), (True, False)]
+
+
+def test_flags_that_the_source_tells_apart_are_kept(physics: Simulator) -> None:
+    table = original_archive.table(HOPPER, 2)
+    rows, _, _ = read_table(table, "hopper", "t")
+    cuts = Transitions(
+        rows.observations, rows.actions, rows.ends, np.zeros(len(table), bool), rows.ends, rows.rewards
+    )
+    simulator = physics(HOPPER)
+    for episode in episodes(cuts, cut(cuts, simulator), simulator):
+        assert not episode.terminations.any()
+        assert episode.truncations[-1]
+
+
+def test_steps_of_another_variant_are_farther_from_its_simulation(physics: Simulator) -> None:
+    transitions, _, _ = read_table(original_archive.table(HOPPER, 5), "hopper", "t")
+    own, other = physics(HOPPER), physics("hopper-massinc_200_torsogeom")
+    near, far = (fidelity(transitions, cut(transitions, each), each) for each in (own, other))
+    assert near.rows == far.rows > 20
+    assert near.position_max is not None
+    assert far.position_median is not None
+    assert near.reward_max is not None
+    assert near.position_max < 1e-12 < 1e-5 < far.position_median
+    assert near.reward_max < 1e-9

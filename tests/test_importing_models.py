@@ -1,0 +1,209 @@
+"""The original's ids, models and environments."""
+
+from __future__ import annotations
+
+import pickle
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+import original_archive
+import pytest
+
+import imujoco_minari
+from imujoco_minari import mjcf
+from imujoco_minari.differences import model_differences
+from imujoco_minari.errors import ModelError, VariantError
+from imujoco_minari.importing.catalogue_diff import common_differences, coverage, departure
+from imujoco_minari.importing.foreign_mjcf import canonical_foreign_mjcf
+from imujoco_minari.importing.original import OriginalVariant, models_of, originals_spec
+from imujoco_minari.variants import ROBOTS, Variant
+
+# Every numeric field that decides how a model moves.
+FIELDS = (
+    *("body_mass", "body_inertia", "body_pos", "body_quat", "body_ipos", "body_iquat", "qpos0", "jnt_pos"),
+    *("jnt_axis", "jnt_range", "jnt_stiffness", "dof_damping", "dof_armature", "actuator_gear"),
+    *("geom_pos", "geom_quat", "geom_size", "geom_friction", "geom_condim", "geom_margin", "geom_solimp"),
+)
+
+
+def base_xml(robot: str) -> str:
+    """gym's own model, of a change of 0 %."""
+    body = {"hopper": "leggeom", "halfcheetah": "bfoot", "walker2d": "leggeom"}[robot]
+    return original_archive.gym_xml(f"{robot}-massinc_0_{body}")
+
+
+def compiled(text: str, robot: str) -> mujoco.MjModel:
+    return mjcf.compile_mjcf(canonical_foreign_mjcf(text, robot, "test"))
+
+
+def test_an_original_id_reads_back_and_names_its_datasets() -> None:
+    variant = OriginalVariant.parse("halfcheetah-jointdec_25_bfoot")
+    assert str(variant) == "halfcheetah-jointdec_25_bfoot"
+    assert (variant.category, variant.percent, variant.body) == ("joint", -25, "bfoot")
+    assert variant.dataset_id() == "imujoco-original/halfcheetah-jointdec_25_bfoot-v0"
+    assert (
+        variant.dataset_id("recollected") == "imujoco-original/halfcheetah-jointdec_25_bfoot-recollected-v0"
+    )
+    assert variant.ours == Variant.parse("halfcheetah-jointdec_25_bfoot")
+
+
+def test_a_body_that_our_catalogue_lacks_is_an_original_all_the_same() -> None:
+    variant = OriginalVariant.parse("walker2d-frictiondec_50_footleftgeom")
+    assert variant.ours is None
+    assert variant != Variant("walker2d", "base", 0, "")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "ant-massdec_25_leg",
+        "hopper-colordec_25_leg",
+        "hopper-massdec_100_leg",
+        "hopper-massdec_25_",
+        "../x",
+        "",
+    ],
+)
+def test_what_is_no_original_id_is_refused(text: str) -> None:
+    with pytest.raises(VariantError):
+        OriginalVariant.parse(text)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_global_coordinates_become_local_ones_exactly(robot: str) -> None:
+    ours = mjcf.compile_mjcf(mjcf.canonical_mjcf(Variant(robot, "base", 0, "")))
+    theirs = compiled(base_xml(robot), robot)
+    for field in FIELDS:
+        if robot == "walker2d" and field == "geom_friction":
+            continue
+        np.testing.assert_allclose(
+            getattr(theirs, field), getattr(ours, field), rtol=0, atol=1e-14, err_msg=field
+        )
+
+
+def test_walker2d_of_gym_has_one_slippery_foot() -> None:
+    ours = mjcf.compile_mjcf(mjcf.canonical_mjcf(Variant("walker2d", "base", 0, "")))
+    (difference,) = model_differences(ours, compiled(base_xml("walker2d"), "walker2d"))
+    assert difference.quantity == "friction of foot_geom on floor"
+    assert (difference.before, difference.after) == (1.9, 0.9)
+
+
+def test_the_canonical_text_is_a_fixed_point() -> None:
+    once = canonical_foreign_mjcf(base_xml("hopper"), "hopper", "test")
+    assert canonical_foreign_mjcf(once, "hopper", "test") == once
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("<worldbody>", '<include file="/etc/passwd"/><worldbody>', "<include> is refused"),
+        ("<worldbody>", '<extension><plugin plugin="x"/></extension><worldbody>', "<extension> is refused"),
+        ("<asset>", '<asset><mesh name="m" file="m.obj"/>', "<mesh> is refused"),
+        ("<asset>", '<asset><hfield name="h" file="h.png"/>', "<hfield> is refused"),
+        ("<asset>", '<asset><texture name="t" type="2d" file="/etc/passwd"/>', 'file="/etc/passwd"'),
+        ("<asset>", '<asset><texture name="t" type="cube" fileright="a.png"/>', "fileright"),
+        ("<compiler ", '<compiler meshdir="/" ', "meshdir"),
+        ('width="127"', 'width="99999"', "too large"),
+        ("<worldbody>", '<size memory="900G"/><worldbody>', "memory"),
+        ("<worldbody>", '<replicate count="1000000"/><worldbody>', "<replicate> is refused"),
+        ('name="thigh"', 'name="knee"', "is no hopper"),
+        ('joint="foot_joint"', 'joint="leg_joint"', "actuated joints"),
+        ('type="capsule"', 'type="blob"', "cannot compile"),
+        ("<mujoco", "<robot", "not XML"),
+    ],
+)
+def test_a_model_that_is_unsafe_or_of_another_robot_is_refused(old: str, new: str, message: str) -> None:
+    text = base_xml("hopper")
+    assert old in text
+    with pytest.raises(ModelError, match=message):
+        canonical_foreign_mjcf(text.replace(old, new), "hopper", "test")
+
+
+def test_entities_and_sizes_are_refused_before_parsing() -> None:
+    bomb = '<!DOCTYPE m [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;">]><mujoco model="&b;"/>'
+    with pytest.raises(ModelError, match="DOCTYPE"):
+        canonical_foreign_mjcf(bomb, "hopper", "test")
+    with pytest.raises(ModelError, match="the limit is"):
+        canonical_foreign_mjcf("<mujoco>" + " " * 50_000 + "</mujoco>", "hopper", "test")
+    with pytest.raises(ModelError, match="nested deeper"):
+        canonical_foreign_mjcf("<mujoco>" + "<body>" * 60 + "</body>" * 60 + "</mujoco>", "hopper", "test")
+
+
+def test_the_environment_is_made_from_its_spec_alone_and_pickles() -> None:
+    variant = OriginalVariant.parse("hopper-massdec_25_leggeom")
+    text = canonical_foreign_mjcf(original_archive.gym_xml(str(variant)), "hopper", "test")
+    spec = gym.envs.registration.EnvSpec.from_json(variant.environment_spec(text).to_json())
+    env, ours = gym.make(spec), imujoco_minari.make("hopper-massdec_25_leggeom")
+    again = pickle.loads(pickle.dumps(env.unwrapped))
+    action = np.full(3, 0.5, np.float32)
+    for each in (env, ours, again):
+        each.reset(seed=5)
+    steps = [each.step(action)[0] for each in (env, ours, again)]
+    np.testing.assert_allclose(steps[0], steps[1], atol=1e-12)
+    np.testing.assert_array_equal(steps[0], steps[2])
+    env.close()
+    ours.close()
+
+
+def test_an_environment_never_loads_what_a_hostile_spec_names() -> None:
+    variant = OriginalVariant.parse("hopper-massdec_25_leggeom")
+    text = base_xml("hopper").replace("<asset>", '<asset><mesh name="m" file="/etc/passwd"/>')
+    with pytest.raises(ModelError, match="<mesh> is refused"):
+        gym.make(variant.environment_spec(text))
+
+
+def test_a_spec_of_several_originals_gives_its_models_back() -> None:
+    variants = [OriginalVariant.parse(f"hopper-massdec_{percent}_leggeom") for percent in (25, 50)]
+    models = {v: canonical_foreign_mjcf(original_archive.gym_xml(str(v)), "hopper", "t") for v in variants}
+    spec = originals_spec("hopper-two", models)
+    assert models_of(spec.kwargs) == models
+    env = gym.make(spec)
+    _, info = env.reset(seed=0, options={"variant": "hopper-massdec_50_leggeom"})
+    assert info["variant"] == "hopper-massdec_50_leggeom"
+    assert env.unwrapped.variants == tuple(map(str, variants))  # type: ignore[attr-defined]
+    env.close()
+
+
+def test_a_departure_names_the_quantities() -> None:
+    variant = OriginalVariant.parse("hopper-lengthinc_50_thighgeom")
+    # This fixture lengthens the capsule alone, about its centre, and moves nothing that hangs on it.
+    text = canonical_foreign_mjcf(original_archive.gym_xml(str(variant)), "hopper", "test")
+    found = departure(variant, text)
+    assert found.same_id
+    quantities = {difference.quantity: difference for difference in found.differences}
+    assert quantities["height of the root"].before == pytest.approx(1.25 + 0.225)
+    assert quantities["height of the root"].after == pytest.approx(1.25)
+    assert "length of thigh_geom" not in quantities
+
+
+def test_a_total_mass_that_is_set_moves_every_mass() -> None:
+    variant = OriginalVariant.parse("halfcheetah-massinc_100_bthigh")
+    text = canonical_foreign_mjcf(original_archive.gym_xml(str(variant)), "halfcheetah", "test")
+    found = departure(variant, text)
+    masses = [difference for difference in found.differences if difference.quantity.startswith("mass of")]
+    assert len(masses) == 7
+    assert all(difference.after < difference.before for difference in masses)
+
+
+def test_what_most_variants_share_is_said_once() -> None:
+    ids = [
+        f"walker2d-{change}"
+        for change in ("massinc_50_leggeom", "massdec_50_torsogeom", "jointdec_25_legjoint")
+    ]
+    departures = []
+    for name in ids:
+        variant = OriginalVariant.parse(name)
+        text = canonical_foreign_mjcf(original_archive.gym_xml(name), "walker2d", "test")
+        departures.append(departure(variant, text))
+    (shared,) = common_differences(departures)["walker2d"].items()
+    assert shared[0].quantity == "friction of foot_geom on floor"
+    assert shared[1] == 3
+
+
+def test_coverage_tells_the_ids_apart() -> None:
+    names = ("hopper-massdec_25_leggeom", "hopper-frictiondec_50_footgeom")
+    found = coverage([OriginalVariant.parse(name) for name in names], "hopper", None)
+    assert found.both == names[:1]
+    assert found.only_original == names[1:]
+    assert len(found.only_ours) == 36
