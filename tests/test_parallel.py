@@ -6,14 +6,16 @@ import os
 import signal
 from pathlib import Path
 
+import h5py
 import minari
 import pytest
 
-from imujoco_minari import roots
+from imujoco_minari import content, roots
 from imujoco_minari.errors import DatasetError, DependencyError, JobError
 from imujoco_minari.parallel import ATTEMPTS, run_jobs
 from imujoco_minari.publishing import Recipe, publish, publish_all
 from imujoco_minari.variants import Variant
+from imujoco_minari.verification import verify
 
 pytestmark = [
     # Joblib's processes are forked or kept beyond the call, and are reaped when the session ends.
@@ -116,6 +118,25 @@ def test_the_content_does_not_depend_on_how_many_jobs(root):
     assert shared.steps == alone.steps
     dataset = minari.load_dataset(alone.dataset_id)
     assert [episode["id"] for episode in dataset.storage.get_episode_metadata(range(9))] == list(range(9))
+
+
+def test_several_find_what_one_finds(root):
+    dataset_id = publish("hopper-base", tier="random", episodes=11).dataset_id
+    assert verify(dataset_id, jobs=2) == []
+    data = roots.dataset_folder(dataset_id) / "data"
+    with h5py.File(content.main_file(data), "a") as file:
+        for number in (3, 9):
+            group = file[f"episode_{number}"]
+            group["observations"][2, 1] += 1e-9
+            content.seal_episode(group)
+    seen = []
+    alone, shared = verify(dataset_id), verify(dataset_id, jobs=2, on_episode=lambda: seen.append(1))
+    assert shared == alone
+    assert [finding.where for finding in alone if "observations" in finding.where] == [
+        "episode_3/observations[2]",
+        "episode_9/observations[2]",
+    ]
+    assert len(seen) == 11
 
 
 def test_many_are_published_by_several_and_a_failure_is_one_outcome(root):

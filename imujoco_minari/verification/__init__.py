@@ -8,32 +8,44 @@ and on the processor architecture that made the dataset; another version is itse
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
+from itertools import pairwise
 from pathlib import Path
 
 import h5py
+import numpy as np
 
 from imujoco_minari import content, roots
-from imujoco_minari.errors import DatasetNotFoundError
+from imujoco_minari.errors import DatasetNotFoundError, JobError
+from imujoco_minari.parallel import run_jobs
 from imujoco_minari.verification import digests, screening, structure
-from imujoco_minari.verification.findings import MAX_FINDINGS, Finding, shown
+from imujoco_minari.verification.findings import MAX_FINDINGS, Checked, Finding, shown
 from imujoco_minari.verification.identity import identity, loadable, original_models, read_metadata
 from imujoco_minari.verification.replay import replay
 
-__all__ = ["Finding", "inspect", "verify"]
+__all__ = ["Checked", "Finding", "check", "inspect", "verify"]
 
 
 def verify(
-    dataset_id: str, *, replay: bool = True, on_episode: Callable[[], None] | None = None
+    dataset_id: str,
+    *,
+    replay: bool = True,
+    jobs: int = 1,
+    backend: str | None = None,
+    on_episode: Callable[[], None] | None = None,
 ) -> list[Finding]:
     """Check a dataset of the Minari root and return what is wrong with it; an empty list is good news.
 
     Args:
         dataset_id: a dataset that this package published, or a collection of such.
         replay: replay every episode, beside the checks of structure, attributes and digests.
+        jobs: how many processes replay.
+        backend: where; see :func:`imujoco_minari.parallel.run_jobs`.
         on_episode: called after each episode that was replayed.
 
     Raises:
         DatasetNotFoundError: when the root holds no such dataset.
+        JobError: when the back end cannot be used.
     """
     folder = roots.dataset_folder(dataset_id)
     if not folder.exists():
@@ -41,10 +53,15 @@ def verify(
             f"{dataset_id} is not in the Minari root, at {folder}; see `minari list local`"
         )
     data = folder / "data"
-    fatal = screening.survives(data)
-    if fatal is not None:
-        return [fatal]
-    findings = inspect(data, replay_episodes=None if replay else 0, on_episode=on_episode)
+    checked = screening.checked_apart(data)
+    if isinstance(checked, Finding):
+        return [checked]
+    findings = checked.findings
+    if replay and checked.replayable:
+        if jobs == 1 and backend is None:
+            findings += _replayed(data, None, on_episode)
+        else:
+            findings += _replayed_by_jobs(data, jobs, backend, on_episode)
     stated = read_metadata(data).get("dataset_id")
     if stated != dataset_id:
         findings.insert(
@@ -53,7 +70,7 @@ def verify(
                 "metadata.json/dataset_id", f"is {shown(stated)}, but the dataset lies under {dataset_id!r}"
             ),
         )
-    return findings
+    return _first(findings, data)
 
 
 def inspect(
@@ -66,22 +83,34 @@ def inspect(
         replay_episodes: how many episodes to replay; None for all.
         on_episode: called after each episode that was replayed.
     """
+    checked = check(data)
+    findings = checked.findings
+    if checked.replayable and replay_episodes != 0:
+        numbers = None if replay_episodes is None else range(replay_episodes)
+        findings += _replayed(data, numbers, on_episode)
+    return _first(findings, data)
+
+
+def check(data: Path) -> Checked:
+    """Check the Minari storage in the folder ``data`` in all but the replay of its episodes."""
     findings: list[Finding] = []
-    checks = _checks(data, replay_episodes, on_episode)
+    replayable = False
     try:
-        for finding in checks:
-            findings.append(finding)
+        for finding in _checks(data):
+            if finding is None:
+                replayable = True
+            else:
+                findings.append(finding)
             if len(findings) >= MAX_FINDINGS:
-                findings.append(Finding(str(data), f"stopped after {MAX_FINDINGS} findings"))
                 break
     except Exception as error:  # h5py raises anything at all on a damaged file; none of it is ours
-        findings.append(Finding(str(data), f"cannot be read: {type(error).__name__}: {str(error)[:200]}"))
-    return findings
+        findings.append(_unreadable(data, error))
+        replayable = False
+    return Checked(_first(findings, data), replayable)
 
 
-def _checks(
-    data: Path, replay_episodes: int | None, on_episode: Callable[[], None] | None
-) -> Iterator[Finding]:
+def _checks(data: Path) -> Iterator[Finding | None]:
+    """Yield what is wrong, and None where the episodes prove to be whole."""
     for name in ("metadata.json", content.MAIN_FILE):
         if not (data / name).is_file():
             yield Finding(name, "is missing")
@@ -104,5 +133,57 @@ def _checks(
             return
         yield from identity(file, metadata)
         yield from digests.arrays(file, metadata)
-        count = len(file) if replay_episodes is None else min(replay_episodes, len(file))
-        yield from replay(file, range(count), original_models(metadata), on_episode)
+        yield None
+
+
+def _replayed(
+    data: Path, numbers: range | None, on_episode: Callable[[], None] | None = None
+) -> list[Finding]:
+    """Replay the numbered episodes of a dataset that was checked, None for all; return what differs."""
+    findings: list[Finding] = []
+    try:
+        with h5py.File(content.main_file(data), "r") as file:
+            chosen = (
+                range(len(file)) if numbers is None else range(numbers.start, min(numbers.stop, len(file)))
+            )
+            for finding in replay(file, chosen, original_models(read_metadata(data)), on_episode):
+                findings.append(finding)
+                if len(findings) >= MAX_FINDINGS:
+                    break
+    except Exception as error:  # as above
+        findings.append(_unreadable(data, error))
+    return findings
+
+
+def _replayed_by_jobs(
+    data: Path, jobs: int, backend: str | None, on_episode: Callable[[], None] | None
+) -> list[Finding]:
+    """Replay all episodes in shares, and return what differs in their order."""
+    with h5py.File(content.main_file(data), "r") as file:
+        episodes = len(file)
+    # Several shares a job, so that none waits long for another at the end.
+    count = min(episodes, 4 * max(jobs, 2) if backend is None else 256)
+    bounds = [round(bound) for bound in np.linspace(0, episodes, count + 1)]
+    shares = [range(start, stop) for start, stop in pairwise(bounds)]
+    found: dict[int, list[Finding]] = {}
+    work = partial(_replayed, data.absolute())
+    for number, findings in run_jobs(work, shares, jobs=jobs, backend=backend):
+        share = shares[number]
+        if isinstance(findings, JobError):
+            where = f"episode_{share.start} to episode_{share.stop - 1}"
+            findings = [Finding(where, f"could not be replayed: {findings}")]
+        found[number] = findings
+        for _ in share:
+            if on_episode is not None:
+                on_episode()
+    return [finding for number in sorted(found) for finding in found[number]]
+
+
+def _first(findings: list[Finding], data: Path) -> list[Finding]:
+    if len(findings) < MAX_FINDINGS:
+        return findings
+    return [*findings[:MAX_FINDINGS], Finding(str(data), f"stopped after {MAX_FINDINGS} findings")]
+
+
+def _unreadable(data: Path, error: Exception) -> Finding:
+    return Finding(str(data), f"cannot be read: {type(error).__name__}: {str(error)[:200]}")

@@ -21,6 +21,14 @@ class Finding:
         return f"{self.where}: {self.what}"
 
 
+@dataclass(frozen=True)
+class Checked:
+    """What is wrong with a dataset but for its replay, and whether its episodes are whole enough for that."""
+
+    findings: list[Finding]
+    replayable: bool
+
+
 def plain(value: Any) -> Any:
     """Return an HDF5 attribute's value as a Python scalar where it is one."""
     return value.item() if isinstance(value, np.generic) else value

@@ -57,15 +57,17 @@ def _replay_episode(group: h5py.Group, name: str, env: gym.Env[Any, Any]) -> Ite
     recorded = {key: group[key][()] for key in content.ARRAYS}
     actions, length = recorded["actions"], len(recorded["rewards"])
     replayed = {key: np.empty_like(recorded[key]) for key in content.ARRAYS if key != "actions"}
-    replayed["observations"][0], _ = env.reset(seed=int(group.attrs["seed"]))
-    steps = length
-    for step in range(length):
-        observation, reward, terminated, truncated, _ = env.step(actions[step])
-        replayed["observations"][step + 1] = observation
-        replayed["rewards"][step] = reward
-        replayed["terminations"][step], replayed["truncations"][step] = terminated, truncated
+    observations, rewards = replayed["observations"], replayed["rewards"]
+    terminations, truncations = replayed["terminations"], replayed["truncations"]
+    observations[0], _ = env.reset(seed=int(group.attrs["seed"]))
+    steps, step = length, env.step
+    for index, action in enumerate(actions):
+        observation, reward, terminated, truncated, _ = step(action)
+        observations[index + 1] = observation
+        rewards[index] = reward
+        terminations[index], truncations[index] = terminated, truncated
         if terminated or truncated:
-            steps = step + 1
+            steps = index + 1
             break
     if steps < length:
         yield Finding(name, f"has {length} steps, but its replay ends after {steps}")

@@ -15,7 +15,7 @@ import sys
 from pathlib import Path
 
 from imujoco_minari import content
-from imujoco_minari.verification.findings import Finding
+from imujoco_minari.verification.findings import Checked, Finding
 
 MAX_MEMORY_BYTES = 2**33
 # What the slowest disk worth the name needs, beside a start on a busy machine.
@@ -27,13 +27,20 @@ limit, data, sys.path[:] = json.loads(sys.argv[1])
 resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
 resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 from pathlib import Path
-from imujoco_minari.verification import inspect
-inspect(Path(data), replay_episodes=0)
+from imujoco_minari.verification import check
+checked = check(Path(data))
+json.dump([[(f.where, f.what) for f in checked.findings], checked.replayable], sys.stdout)
 """
 
 
 def survives(data: Path) -> Finding | None:
     """Read a dataset in a child process and return what became of that, or None when it lived."""
+    checked = checked_apart(data)
+    return checked if isinstance(checked, Finding) else None
+
+
+def checked_apart(data: Path) -> Checked | Finding:
+    """Check a dataset in a child process and return what that found, or what became of it."""
     seconds = _START_SECONDS + _size(content.main_file(data)) // _BYTES_PER_SECOND
     environment = {key: value for key, value in os.environ.items() if not key.startswith("HDF5_EXT")}
     try:
@@ -54,7 +61,8 @@ def survives(data: Path) -> Finding | None:
         return Finding(
             content.MAIN_FILE, f"cannot be read: {lines[-1][:200] if lines else 'no reason given'}"
         )
-    return None
+    findings, replayable = json.loads(done.stdout)
+    return Checked([Finding(where, what) for where, what in findings], replayable)
 
 
 def _size(path: Path) -> int:
