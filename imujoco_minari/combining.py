@@ -47,6 +47,14 @@ class _Source:
     episodes: Sequence[int]
     storage: Any
     env_spec: EnvSpec | None
+    content_sha256: str | None
+
+    def check(self, file: h5py.File) -> None:
+        """Raise a DatasetError when ``file`` is not the one that the metadata is of."""
+        if file.attrs.get("content_sha256") != self.content_sha256:
+            raise DatasetError(
+                f"{self.dataset_id} was replaced while it was read, or is damaged: nothing was combined"
+            )
 
 
 def combine_datasets(
@@ -108,7 +116,11 @@ def _source(dataset: MinariDataset | str) -> _Source:
         folder = roots.dataset_folder(dataset) / "data"
         if not folder.is_dir():
             raise DatasetNotFoundError(f"{dataset} is not in the Minari root, at {folder.parent}")
+        # Read first: where another process replaces the dataset now, the file will not match.
+        stated = read_metadata(folder).get("content_sha256")
         dataset = _load(dataset, folder)
+    else:
+        stated = dataset.storage.metadata.get("content_sha256")
     if dataset.storage.FORMAT != "hdf5":
         raise DatasetError(f"{dataset.id} is stored as {dataset.storage.FORMAT}; valid: hdf5")
     return _Source(
@@ -117,6 +129,7 @@ def _source(dataset: MinariDataset | str) -> _Source:
         episodes=[int(index) for index in dataset.episode_indices],
         storage=dataset.storage,
         env_spec=dataset.env_spec,
+        content_sha256=stated,
     )
 
 
@@ -184,6 +197,7 @@ def _write(sources: Sequence[_Source], data: Path, linked_from: Path | None) -> 
     with h5py.File(content.main_file(data), "w", track_order=True) as target:
         for source in sources:
             with h5py.File(source.file, "r") as file:
+                source.check(file)
                 attributes += copying.shared_attributes(file, source.episodes, _COMMON)
                 if linked_from is None:
                     copied = copying.copy_episodes(file, source.episodes, target, source.dataset_id)
