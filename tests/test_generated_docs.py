@@ -1,0 +1,52 @@
+"""The pages that are written from the code say what the code says."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from importlib.machinery import SourceFileLoader
+from importlib.util import module_from_spec, spec_from_loader
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from imujoco_minari.variants import catalogue
+
+SCRIPT = Path(__file__).parents[1] / "scripts" / "generate-docs"
+
+
+@pytest.fixture(scope="module")
+def generator() -> ModuleType:
+    """The script as a module."""
+    loader = SourceFileLoader("generate_docs", str(SCRIPT))
+    module = module_from_spec(spec_from_loader("generate_docs", loader))
+    # The byte code would be written beside the script.
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "dont_write_bytecode", True)
+        loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize(("name", "page"), [("variants.md", "variants_page"), ("cli.md", "cli_page")])
+def test_the_page_is_current(generator: ModuleType, name: str, page: str) -> None:
+    assert (generator.DOCS / name).read_text("utf-8") == getattr(generator, page)(), (
+        "run scripts/generate-docs"
+    )
+
+
+def test_every_variant_has_its_row(generator: ModuleType) -> None:
+    rows = [line for line in generator.variants_page().splitlines() if line.startswith("| `")]
+    assert [row.split("`")[1] for row in rows] == [str(variant) for variant in catalogue()]
+
+
+def test_a_stale_page_is_named(tmp_path: Path) -> None:
+    folder = tmp_path / "scripts"
+    folder.mkdir()
+    (tmp_path / "docs").mkdir()
+    (folder / SCRIPT.name).write_text(SCRIPT.read_text("utf-8"), "utf-8")
+    done = subprocess.run(
+        [sys.executable, str(folder / SCRIPT.name), "--check"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1
+    assert "not current: docs/variants.md, docs/cli.md; run scripts/generate-docs" in done.stderr
