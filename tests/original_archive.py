@@ -25,7 +25,7 @@ HIDDEN = 16
 
 
 def gym_root(robot: str) -> ET.Element:
-    """gym's own model of a robot: Gymnasium's, in the global coordinates that gym's had but for HalfCheetah."""
+    """gym's own model of a robot: Gymnasium's, but Hopper and Walker2d in global coordinates."""
     text = (resources.files("gymnasium.envs.mujoco") / "assets" / ASSETS[robot]).read_text("utf-8")
     root = ET.fromstring(text)
     if robot != "halfcheetah":

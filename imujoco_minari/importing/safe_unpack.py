@@ -20,7 +20,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from imujoco_minari.errors import DatasetError, DatasetNotFoundError
+from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError
 
 Array = NDArray[Any]
 
@@ -55,6 +55,8 @@ def open_zip(path: Path) -> Iterator[zipfile.ZipFile]:
         with zipfile.ZipFile(path) as archive:
             _check(archive, path)
             yield archive
+    except ImujocoError:
+        raise
     except _BROKEN as error:
         raise DatasetError(f"{path}: not a readable zip: {' '.join(str(error).split())[:200]}") from None
 
