@@ -6,7 +6,7 @@ end. Everything here is looked at before it is read, and within bounds.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from os.path import normpath
 from pathlib import Path
 from typing import Any
@@ -151,23 +151,25 @@ def episodes(file: h5py.File, metadata: dict[str, Any]) -> Iterator[Finding]:
 
 
 def _arrays(group: h5py.Group, name: str, number: int | None) -> Iterator[Finding]:
-    missing = [key for key in content.ARRAYS if not isinstance(group.get(key), h5py.Dataset)]
+    # Every look at a group or an attribute by name goes through HDF5, so each is taken once.
+    arrays = {key: group.get(key) for key in content.ARRAYS}
+    missing = [key for key, array in arrays.items() if not isinstance(array, h5py.Dataset)]
     if missing:
         yield Finding(name, f"has no {missing[0]}")
         return
-    length = group["rewards"].shape[0] if group["rewards"].shape else 0
+    attrs = dict(group.attrs)
+    length = arrays["rewards"].shape[0] if arrays["rewards"].shape else 0
     if not length:
         yield Finding(name, "has no steps")
         return
-    sizes = SIZES.get(str(group.attrs.get("robot")))
+    sizes = SIZES.get(str(attrs.get("robot")))
     shapes = {
-        "observations": (length + 1, *group["observations"].shape[1:2]),
-        "actions": (length, *group["actions"].shape[1:2]),
+        "observations": (length + 1, *arrays["observations"].shape[1:2]),
+        "actions": (length, *arrays["actions"].shape[1:2]),
     }
     if sizes is not None:
         shapes = {"observations": (length + 1, sizes[0]), "actions": (length, sizes[1])}
-    for key in content.ARRAYS:
-        array = group[key]
+    for key, array in arrays.items():
         expected = shapes.get(key, (length,))
         if array.shape != expected or array.dtype.kind != _KINDS[key]:
             yield Finding(
@@ -176,20 +178,24 @@ def _arrays(group: h5py.Group, name: str, number: int | None) -> Iterator[Findin
                 f"{'flags' if _KINDS[key] == 'b' else 'floats'} of shape {expected}",
             )
             return
-    yield from _flags(group, name)
-    yield from _values(group, name, number, length)
+    values = {key: array[()] for key, array in arrays.items()}
+    yield from _flags(values, name)
+    yield from _values(values, attrs, name, number)
 
 
-def _flags(group: h5py.Group, name: str) -> Iterator[Finding]:
-    ends = group["terminations"][()] | group["truncations"][()]
+def _flags(values: Mapping[str, Any], name: str) -> Iterator[Finding]:
+    ends = values["terminations"] | values["truncations"]
     if ends[:-1].any():
         yield Finding(name, "goes on after a termination or truncation")
     if not ends[-1]:
         yield Finding(name, "ends without a termination or truncation")
 
 
-def _values(group: h5py.Group, name: str, number: int | None, length: int) -> Iterator[Finding]:
-    attrs = group.attrs
+def _values(
+    values: Mapping[str, Any], attrs: Mapping[str, Any], name: str, number: int | None
+) -> Iterator[Finding]:
+    rewards = values["rewards"]
+    length = len(rewards)
     if number is not None and not same(attrs.get("id"), number):
         yield Finding(f"{name}@id", f"is {shown(attrs.get('id'))}, not {number}")
     if not same(attrs.get("total_steps"), length):
@@ -199,10 +205,9 @@ def _values(group: h5py.Group, name: str, number: int | None, length: int) -> It
     if replayable and (not isinstance(seed, np.integer) or not 0 <= seed < 2**63):
         yield Finding(f"{name}@seed", f"is {shown(seed)}, so the episode cannot be replayed")
     for key in ("observations", "actions", "rewards"):
-        if not np.isfinite(group[key][()]).all():
+        if not np.isfinite(values[key]).all():
             yield Finding(f"{name}/{key}", "holds values that are not finite")
             return
-    rewards = group["rewards"][()]
     for statistic in ("sum", "mean", "std", "max", "min"):
         stated, value = attrs.get(f"rewards_{statistic}"), float(getattr(rewards, statistic)())
         if not isinstance(stated, np.floating | np.integer) or not np.isclose(stated, value, rtol=1e-9):
