@@ -93,7 +93,7 @@ def load(name: str) -> Arrays | None:
         stored = json.loads((folder / _TABLE).read_text("utf-8"))
         mapped = {array: np.load(folder / f"{array}.npy", mmap_mode="c") for array in STEP_ARRAYS}
         starts = np.load(folder / "episode_starts.npy")
-    except (OSError, ValueError):
+    except (OSError, ValueError, EOFError):
         return None
     statistics = stored["statistics"] and Statistics(*map(np.array, stored["statistics"]))
     table = tuple(Origin(**origin) for origin in stored["table"])

@@ -109,7 +109,7 @@ class EpisodeFile:
             filename, name = links.get_val(name)
             other = self._open((self._path.parent / os.fsdecode(filename)).resolve())
             return h5py.h5g.open(other.id, name)
-        except (KeyError, ValueError):
+        except (KeyError, ValueError, RuntimeError):
             raise DatasetError(f"{self.name} has no episode {episode}") from None
 
     def _open(self, path: Path) -> h5py.File:

@@ -59,6 +59,6 @@ def _small_datasets(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def small_datasets(root: Path, _small_datasets: Path) -> list[str]:
-    """The ids of three small datasets in the test's root: 8, 4 and 4 episodes of random Hoppers, all terminated."""
+    """Ids of three datasets in the test's root: 8, 4 and 4 episodes of random Hoppers, all terminated."""
     shutil.copytree(_small_datasets, root)
     return list(SMALL_DATASETS)

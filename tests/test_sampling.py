@@ -1,0 +1,236 @@
+"""Samplers and batches: whole, seeded, masked, and never across an episode's end."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from synthetic_arrays import BASE, LEG, RANDOM, synthetic
+from torch.utils.data import DataLoader
+
+from imujoco_minari.errors import DatasetError, DatasetExistsError, VariantError
+from imujoco_minari.preferences import preference_pairs
+from imujoco_minari.sampling import (
+    Sampler,
+    episode_batches,
+    gather_windows,
+    transition_batches,
+    window_batches,
+    window_starts,
+)
+from imujoco_minari.torch_data import TransitionDataset, WindowDataset, as_is
+
+LENGTHS = [5, 3, 7, 4]
+
+
+def test_a_sample_is_whole_episodes_padded_with_zeros() -> None:
+    data = synthetic(LENGTHS)
+    shots = Sampler(data, portion=(0.0, 1.0), horizon=6).sample(4)
+    assert shots.observations.shape == (4, 6, 3)
+    assert shots.actions.shape == (4, 6, 2)
+    assert shots.observations.dtype == shots.actions.dtype == np.float32
+    for observations, actions, mask in zip(*shots, strict=True):
+        episode = int(observations[0, 0])
+        steps = min(LENGTHS[episode], 6)
+        assert mask.tolist() == [True] * steps + [False] * (6 - steps)
+        assert observations[mask, 1].tolist() == list(range(steps))
+        assert actions[mask, 0].tolist() == [-t for t in range(steps)]
+        assert not observations[~mask].any()
+        assert not actions[~mask].any()
+
+
+def test_without_replacement_no_episode_comes_twice() -> None:
+    shots = Sampler(synthetic([3] * 10), portion=(0.0, 1.0), horizon=3).sample(10)
+    assert sorted(shots.observations[:, 0, 0].tolist()) == list(range(10))
+
+
+def test_with_replacement_there_are_more_shots_than_episodes() -> None:
+    assert len(Sampler(synthetic([3] * 2), portion=(0.0, 1.0), horizon=3).sample(9, replace=True).mask) == 9
+
+
+def test_all_shots_of_a_sample_are_of_one_variant() -> None:
+    data = synthetic([3] * 8, [BASE, LEG] * 4)
+    sampler = Sampler(data, portion=(0.0, 1.0), horizon=3)
+    assert len(sampler) == 2
+    drawn = {
+        frozenset((s.observations[:, 0, 0] % 2).tolist()) for s in (sampler.sample(3) for _ in range(20))
+    }
+    assert drawn == {frozenset({0.0}), frozenset({1.0})}
+    for idx in (1, LEG.variant):
+        assert set((sampler.sample(3, idx=idx).observations[:, 0, 0] % 2).tolist()) == {1.0}
+
+
+def test_a_seed_repeats_the_draws() -> None:
+    data = synthetic([3] * 20)
+    one, same, other = (Sampler(data, seed=seed, horizon=3) for seed in (1, 1, 2))
+    draws = [[s.sample(4).observations[:, 0, 0].tolist() for _ in range(3)] for s in (one, same, other)]
+    assert draws[0] == draws[1] != draws[2]
+    assert draws[0][0] != draws[0][1]
+
+
+def test_sampling_leaves_the_global_generator_alone() -> None:
+    np.random.seed(0)
+    before = np.random.get_state()[1].tolist()  # type: ignore[index]
+    Sampler(synthetic([3] * 4), horizon=3).sample(2)
+    assert np.random.get_state()[1].tolist() == before  # type: ignore[index]
+
+
+def test_train_and_test_samplers_share_no_episode() -> None:
+    data = synthetic([3] * 12)
+    train = Sampler(data, portion=(0.0, 0.75), horizon=3).sample(9)
+    test = Sampler(data, portion=(0.75, 1.0), horizon=3).sample(3)
+    assert not set(train.observations[:, 0, 0]) & set(test.observations[:, 0, 0])
+
+
+def test_a_sampler_takes_dataset_ids(small_datasets: list[str]) -> None:
+    sampler = Sampler(small_datasets, where={"category": "mass"}, horizon=50)
+    assert [origin.variant for origin in sampler.arrays.table] == ["hopper-massdec_25_leggeom"]
+    assert sampler.sample(3).observations.shape == (3, 50, 11)
+
+
+def test_torch_samples_are_tensors() -> None:
+    shots = Sampler(synthetic([3] * 4), horizon=3, torch=True).sample(2)
+    assert all(isinstance(tensor, torch.Tensor) for tensor in shots)
+    assert shots.observations.dtype == torch.float32
+
+
+def test_too_many_shots_are_refused_with_the_count() -> None:
+    with pytest.raises(
+        DatasetError, match="hopper-base has 3 episodes in this portion: 4 cannot be drawn without"
+    ):
+        Sampler(synthetic([3] * 4), horizon=3).sample(4)
+
+
+@pytest.mark.parametrize("idx", [1, -1, "hopper-bas"])
+def test_a_variant_that_is_not_there_is_refused(idx: int | str) -> None:
+    with pytest.raises(VariantError, match=r"hopper-bas|0 to 0"):
+        Sampler(synthetic([3] * 4), horizon=3).sample(2, idx=idx)
+
+
+def test_misused_samplers_are_refused() -> None:
+    with pytest.raises(DatasetError, match="horizon must be at least 1"):
+        Sampler(synthetic([3]), horizon=0)
+    with pytest.raises(DatasetError, match="give `where` to arrays"):
+        Sampler(synthetic([3]), where={"tier": "expert"})
+
+
+def test_transition_batches_are_every_step_once() -> None:
+    data = synthetic(LENGTHS)
+    batches = list(transition_batches(data, 8, seed=1))
+    assert [len(batch.rewards) for batch in batches] == [8, 8, 3]
+    seen = np.concatenate([batch.observations for batch in batches])
+    after = np.concatenate([batch.next_observations for batch in batches])
+    assert sorted(map(tuple, seen)) == sorted(map(tuple, data.observations))
+    np.testing.assert_array_equal(after[:, 1], seen[:, 1] + 1)
+    assert not np.array_equal(seen, data.observations)
+
+
+def test_windows_stay_within_their_episode() -> None:
+    data = synthetic(LENGTHS)
+    batches = list(window_batches(data, 3, 4))
+    windows = np.concatenate([batch.observations for batch in batches])
+    assert len(windows) == 3 + 1 + 5 + 2
+    assert (windows[:, :, 0] == windows[:, :1, 0]).all()
+    assert (np.diff(windows[:, :, 1], axis=1) == 1).all()
+    assert all(batch.mask.all() for batch in batches)
+
+
+def test_padded_windows_begin_at_every_step() -> None:
+    data = synthetic(LENGTHS, truncated=[0, 1, 2, 3])
+    windows = gather_windows(data, window_starts(data, 4, padded=True), 4)
+    assert len(windows.mask) == len(data)
+    left = np.concatenate([np.arange(length, 0, -1) for length in LENGTHS])
+    np.testing.assert_array_equal(windows.mask.sum(axis=1), np.minimum(left, 4))
+    np.testing.assert_array_equal(windows.timesteps[windows.mask], windows.observations[windows.mask][:, 1])
+    assert not windows.rewards[~windows.mask].any()
+
+
+def test_episode_batches_are_padded_to_their_longest() -> None:
+    (batch,) = episode_batches(synthetic(LENGTHS), 10)
+    assert batch.mask.shape == (4, 7)
+    assert sorted(batch.mask.sum(axis=1).tolist()) == sorted(LENGTHS)
+
+
+def test_a_window_longer_than_every_episode_is_refused() -> None:
+    with pytest.raises(DatasetError, match="no episode has 8 steps, the longest has 7"):
+        window_starts(synthetic(LENGTHS), 8)
+
+
+@pytest.mark.parametrize("size", [0, -1])
+def test_empty_batches_and_windows_are_refused(size: int) -> None:
+    with pytest.raises(DatasetError, match="a batch holds at least one"):
+        transition_batches(synthetic([3]), size)
+    with pytest.raises(DatasetError, match="a window has at least one step"):
+        window_starts(synthetic([3]), size)
+
+
+def test_a_loader_of_transitions_gives_every_step_once() -> None:
+    data = synthetic(LENGTHS)
+    loader = DataLoader(TransitionDataset(data), batch_size=8, shuffle=True, collate_fn=as_is)
+    batches = list(loader)
+    assert sum(len(batch["rewards"]) for batch in batches) == len(data)
+    seen = torch.cat([batch["observations"] for batch in batches]).numpy()
+    assert sorted(map(tuple, seen)) == sorted(map(tuple, data.observations))
+
+
+def test_a_loader_works_without_our_collate() -> None:
+    dataset = TransitionDataset(synthetic(LENGTHS))
+    torch.testing.assert_close(dataset[4]["observations"], torch.tensor([0.0, 4.0, 0.5], dtype=torch.float64))
+    assert dataset[4]["terminations"].item() is True
+
+
+def test_a_loader_of_windows_gives_windows() -> None:
+    dataset = WindowDataset(synthetic(LENGTHS), 3)
+    assert len(dataset) == 11
+    batch = next(iter(DataLoader(dataset, batch_size=11, collate_fn=as_is)))
+    assert batch["observations"].shape == (11, 3, 3)
+    assert dataset[3]["observations"][:, 0].tolist() == [1, 1, 1]
+    assert len(WindowDataset(synthetic(LENGTHS), 3, padded=True)) == sum(LENGTHS)
+
+
+def test_the_preferred_stretch_has_the_higher_return() -> None:
+    data = synthetic([9] * 6, [BASE, LEG] * 3)
+    chosen = preference_pairs(data, pairs=200, length=4, seed=2)
+    returns = np.stack([chosen.first.rewards.sum(axis=1), chosen.second.rewards.sum(axis=1)], axis=1)
+    np.testing.assert_allclose(chosen.scores, returns)
+    np.testing.assert_array_equal(chosen.preferred, returns.argmax(axis=1))
+    assert (returns[:, 0] != returns[:, 1]).all()
+    np.testing.assert_array_equal(chosen.first.variant_index, chosen.second.variant_index)
+    assert set(chosen.first.variant_index.tolist()) == {0, 1}
+
+
+def test_ranked_tiers_decide_whatever_the_return() -> None:
+    data = synthetic([6] * 4, [BASE, RANDOM] * 2)
+    chosen = preference_pairs(data, pairs=50, length=3, tiers=("random", "expert"))
+    better = np.where(chosen.preferred == 0, chosen.first.variant_index, chosen.second.variant_index)
+    assert {data.table[place].tier for place in better} == {"random"}
+
+
+def test_preferences_repeat_with_their_seed() -> None:
+    data = synthetic([9] * 6)
+    one, same, other = (preference_pairs(data, pairs=20, length=2, seed=seed).scores for seed in (1, 1, 2))
+    np.testing.assert_array_equal(one, same)
+    assert not np.array_equal(one, other)
+
+
+def test_preferences_are_saved_whole(tmp_path) -> None:
+    chosen = preference_pairs(synthetic([9] * 6), pairs=20, length=2)
+    chosen.save(tmp_path / "pairs.npz")
+    with np.load(tmp_path / "pairs.npz") as saved:
+        np.testing.assert_array_equal(saved["preferred"], chosen.preferred)
+        np.testing.assert_array_equal(saved["second_observations"], chosen.second.observations)
+        np.testing.assert_array_equal(saved["first_actions"], chosen.first.actions)
+    with pytest.raises(DatasetExistsError, match=r"pairs\.npz is already there"):
+        chosen.save(tmp_path / "pairs.npz")
+
+
+def test_where_nothing_is_preferred_is_said() -> None:
+    data = synthetic([2] * 3)
+    with pytest.raises(DatasetError, match="all stretches of hopper-base rank the same"):
+        preference_pairs(data, length=2)
+    with pytest.raises(
+        DatasetError, match=r"the tier 'expert' \(did you mean 'experts'\?\), which is not ranked"
+    ):
+        preference_pairs(data, length=2, tiers=["experts"])
+    with pytest.raises(DatasetError, match="at least one pair"):
+        preference_pairs(data, pairs=0, length=2)
