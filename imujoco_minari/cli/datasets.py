@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from imujoco_minari.publishing import Published, Recipe
 
 Jobs = Annotated[int, typer.Option("--jobs", "-j", min=1, help="How many processes.")]
+Backend = Annotated[
+    str | None,
+    typer.Option("--backend", help="Where they run: loky (here), or a running cluster: ray or dask."),
+]
 Tier = Annotated[str, typer.Option("--tier", "-t", help="Which policy makes the data.")]
 
 
@@ -43,6 +47,7 @@ def publish_datasets(
     ] = None,
     stochastic: Annotated[bool, typer.Option("--stochastic", help="Sample actions, not their mode.")] = False,
     jobs: Jobs = 1,
+    backend: Backend = None,
     force: Annotated[bool, typer.Option("--force", help="Replace what has the id.")] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -58,7 +63,7 @@ def publish_datasets(
 
     chosen = select(variants or [], robot, category, everything)
     recipes = [Recipe(variant, tier, episodes, seed, policy, stochastic) for variant in chosen]
-    finish(_publish(recipes, jobs, force, as_json), as_json)
+    finish(_publish(recipes, jobs, backend, force, quiet=as_json), as_json)
 
 
 def finish(outcomes: list[Published], as_json: bool) -> None:
@@ -89,12 +94,14 @@ def select(names: list[str], robot: str | None, category: str | None, everything
     return chosen if category else [base for base in bases() if robot in (None, base.robot)] + chosen
 
 
-def _publish(recipes: list[Recipe], jobs: int, force: bool, quiet: bool) -> list[Published]:
+def _publish(
+    recipes: list[Recipe], jobs: int, backend: str | None, force: bool, *, quiet: bool
+) -> list[Published]:
     from imujoco_minari.errors import ImujocoError
     from imujoco_minari.publishing import Published, publish, publish_all
 
     outcomes = []
-    if len(recipes) == 1:
+    if len(recipes) == 1 and backend is None:
         with progress(str(recipes[0].variant), recipes[0].episodes, quiet=quiet) as advance:
             try:
                 outcomes = [publish(recipes[0], jobs=jobs, force=force, on_episode=advance)]
@@ -103,7 +110,7 @@ def _publish(recipes: list[Recipe], jobs: int, force: bool, quiet: bool) -> list
         report(outcomes[0], quiet)
         return outcomes
     with progress("publishing", len(recipes), quiet=quiet) as advance:
-        for outcome in publish_all(recipes, jobs=jobs, force=force):
+        for outcome in publish_all(recipes, jobs=jobs, force=force, backend=backend):
             outcomes.append(outcome)
             report(outcome, quiet)
             advance()
@@ -183,6 +190,8 @@ def combine(
 def verify_datasets(
     ids: Annotated[list[str], typer.Argument(help="Dataset ids.")],
     replay: Annotated[bool, typer.Option(help="Replay every episode from its seed and actions.")] = True,
+    jobs: Jobs = 1,
+    backend: Backend = None,
     as_json: AsJson = False,
 ) -> None:
     """Check datasets: structure, attributes, digests, and the replay of every episode, bit for bit.
@@ -196,7 +205,9 @@ def verify_datasets(
     results = {}
     for dataset_id in ids:
         with progress(dataset_id, _episodes(dataset_id), quiet=as_json or not replay) as advance:
-            results[dataset_id] = verify(dataset_id, replay=replay, on_episode=advance)
+            results[dataset_id] = verify(
+                dataset_id, replay=replay, jobs=jobs, backend=backend, on_episode=advance
+            )
     if as_json:
         print_json(
             {dataset_id: [vars(finding) for finding in findings] for dataset_id, findings in results.items()}

@@ -7,8 +7,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from imujoco_minari.cli.app import AsJson, Category, Robot, app, fail, out, print_json, print_table, progress, say
-from imujoco_minari.cli.datasets import Jobs, select
+from imujoco_minari.cli.app import (
+    AsJson,
+    Category,
+    Robot,
+    app,
+    fail,
+    out,
+    print_json,
+    print_table,
+    progress,
+    say,
+)
+from imujoco_minari.cli.datasets import Backend, Jobs, select
 from imujoco_minari.policies import expert_record, expert_variants, policies_folder
 from imujoco_minari.variants import Variant
 
@@ -31,6 +42,7 @@ def train_variants(
     target: Annotated[float | None, typer.Option("--target", help="Return to stop at.")] = None,
     seed: Annotated[int, typer.Option("--seed", "-s", min=0, help="Seed of all that is random.")] = 0,
     jobs: Jobs = 1,
+    backend: Backend = None,
     nice: Annotated[int, typer.Option("--nice", min=0, max=19, help="Lower the priority by this much.")] = 0,
     state: Annotated[Path | None, typer.Option("--state", help="Folder of unfinished runs.")] = None,
     output: Annotated[Path | None, typer.Option("--output", help="Folder for finished policies.")] = None,
@@ -50,13 +62,13 @@ def train_variants(
     chosen = select(variants or [], robot, category, everything)
     changes: dict[str, Any] = {} if max_steps is None else {"max_steps": max_steps}
     plan = Plan(state or default_state(), output, scratch, seed, target, changes, nice)
-    if len(chosen) == 1:
+    if len(chosen) == 1 and backend is None:
         os.nice(nice)
         outcomes = [_train_one(chosen[0], plan, as_json)]
     else:
         outcomes = []
         with progress("training", len(chosen), quiet=as_json) as advance:
-            for outcome in train_all(chosen, plan, jobs=jobs):
+            for outcome in train_all(chosen, plan, jobs=jobs, backend=backend):
                 outcomes.append(outcome)
                 _report(outcome, as_json)
                 advance()

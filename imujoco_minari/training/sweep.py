@@ -12,13 +12,13 @@ import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from joblib import Parallel, delayed
-
-from imujoco_minari.errors import ImujocoError, PolicyNotFoundError, TrainingError
-from imujoco_minari.policies import expert_record, policies_folder, expert_agent
+from imujoco_minari.errors import ImujocoError, JobError, PolicyNotFoundError, TrainingError
+from imujoco_minari.parallel import run_jobs
+from imujoco_minari.policies import expert_agent, expert_record, policies_folder
 from imujoco_minari.training.agents import load_arrays, save_arrays
 from imujoco_minari.training.hyperparameters import SCRATCH, WARM, hyperparameters
 from imujoco_minari.training.run import Progress, Run, Task, write_json
@@ -86,18 +86,20 @@ def train(variant: Variant, plan: Plan, on_interval: Any = None) -> Trained:
     return Trained(variant, record, created=True)
 
 
-def train_all(variants: Sequence[Variant], plan: Plan, *, jobs: int = 1, backend: str | None = None) -> Iterator[Trained]:
+def train_all(
+    variants: Sequence[Variant], plan: Plan, *, jobs: int = 1, backend: str | None = None
+) -> Iterator[Trained]:
     """Train many variants and yield each outcome as it comes, failures included.
 
-    Bases come first, since the others start from them.
+    Bases come first, since the others start from them. A run that is lost with its worker goes on from
+    its last checkpoint; for ``backend`` see :func:`imujoco_minari.parallel.run_jobs`.
     """
     for group in _in_order(variants, plan):
-        if jobs == 1 or len(group) == 1:
-            yield from (_attempt(variant, plan) for variant in group)
-        else:
-            pool = Parallel(n_jobs=jobs, backend=backend, return_as="generator_unordered", batch_size=1)
-            owner = os.getpid() if backend is None else None
-            yield from pool(delayed(_attempt)(variant, plan, owner) for variant in group)
+        apart = backend is not None or (jobs > 1 and len(group) > 1)
+        work = partial(_attempt, plan=plan, owner=os.getpid() if apart and backend is None else None)
+        outcomes = run_jobs(work, group, jobs=jobs if apart else 1, backend=backend)
+        for number, outcome in outcomes:
+            yield Trained(group[number], error=str(outcome)) if isinstance(outcome, JobError) else outcome
 
 
 def install(folder: Path, record: dict[str, Any], policies: Path | None) -> None:
