@@ -35,7 +35,7 @@ STEP_ARRAYS = (
     "variant_index",
 )
 # Rows that are worked on at once, where a temporary copy is needed.
-_BLOCK = 65_536
+_BLOCK = 4096
 
 
 class Trajectory(NamedTuple):

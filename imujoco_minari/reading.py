@@ -37,6 +37,7 @@ class EpisodeFile:
         self._files: dict[Path, h5py.File] = {}
         self._path = path.resolve()
         self._file = self._open(self._path)
+        self._descriptor = self._file.id.get_vfd_handle()
 
     def __enter__(self) -> Self:
         return self
@@ -57,7 +58,7 @@ class EpisodeFile:
 
     def episode_attributes(self, episode: int, names: Sequence[str]) -> dict[str, Any]:
         """Return those of the named attributes that an episode has."""
-        attributes = h5py.AttributeManager(h5py.Group(self._group(episode)))
+        attributes = h5py.AttributeManager(h5py.Group(self._group(episode)[0]))
         return {name: attributes[name] for name in names if name in attributes}
 
     def layout(self, episode: int, name: str) -> tuple[tuple[int, ...], np.dtype[Any]]:
@@ -66,12 +67,12 @@ class EpisodeFile:
         Raises:
             DatasetError: when there is no such array, as where observations are a dictionary.
         """
-        stored = self._array(self._group(episode), name, episode)
+        stored = self._array(self._group(episode)[0], name, episode)
         return stored.shape, stored.dtype
 
     def length(self, episode: int) -> int:
         """Return the steps of an episode."""
-        return int(self._array(self._group(episode), "rewards", episode).shape[0])
+        return int(self._array(self._group(episode)[0], "rewards", episode).shape[0])
 
     def read(self, episode: int, targets: Mapping[str, Array]) -> None:
         """Fill each array of ``targets`` (C-contiguous, of the stored shape) from the episode's of its name.
@@ -79,7 +80,7 @@ class EpisodeFile:
         Raises:
             DatasetError: when an array is missing, of another shape, or of another kind of values.
         """
-        group = self._group(episode)
+        group, descriptor = self._group(episode)
         for name, out in targets.items():
             stored = self._array(group, name, episode)
             if stored.shape != out.shape:
@@ -87,28 +88,38 @@ class EpisodeFile:
                     f"{self.name}: episode {episode}: {name} are of shape {stored.shape}, not {out.shape}"
                 )
             try:
-                stored.read(h5py.h5s.ALL, h5py.h5s.ALL, out, self._type(out.dtype))
+                self._fetch(stored, descriptor, out)
             except (OSError, TypeError) as error:
                 raise DatasetError(
                     f"{self.name}: episode {episode}: {name} cannot be read as {out.dtype}: {error}"
                 ) from None
+
+    def _fetch(self, stored: h5py.h5d.DatasetID, descriptor: int, out: Array) -> None:
+        kind = self._type(out.dtype)
+        offset = stored.get_offset()
+        if offset is None or not kind.equal(stored.get_type()):
+            stored.read(h5py.h5s.ALL, h5py.h5s.ALL, out, kind)
+            return
+        # In one piece and as NumPy holds it: no need to set HDF5's machinery in motion.
+        if os.preadv(descriptor, [out.data], offset) != out.nbytes:
+            raise OSError("the file ends before its arrays do")
 
     def _type(self, dtype: np.dtype[Any]) -> h5py.h5t.TypeID:
         if dtype not in self._types:
             self._types[dtype] = h5py.h5t.py_create(dtype, logical=True)
         return self._types[dtype]
 
-    def _group(self, episode: int) -> h5py.h5g.GroupID:
-        """Open an episode's group, through a link where it lies in another file."""
+    def _group(self, episode: int) -> tuple[h5py.h5g.GroupID, int]:
+        """Open an episode's group, through a link if need be; return its file's descriptor too."""
         name = f"episode_{episode}".encode()
         try:
             links = self._file.id.links
             if links.get_info(name).type != h5py.h5l.TYPE_EXTERNAL:
-                return h5py.h5g.open(self._file.id, name)
+                return h5py.h5g.open(self._file.id, name), self._descriptor
             # HDF5 itself would open and close the other file for every episode.
             filename, name = links.get_val(name)
             other = self._open((self._path.parent / os.fsdecode(filename)).resolve())
-            return h5py.h5g.open(other.id, name)
+            return h5py.h5g.open(other.id, name), other.id.get_vfd_handle()
         except (KeyError, ValueError, RuntimeError):
             raise DatasetError(f"{self.name} has no episode {episode}") from None
 
