@@ -238,9 +238,7 @@ def load_policy(
         return RandomPolicy(SIZES[variant.robot][1])
     if tier == EXPERT:
         return expert_actor(variant, deterministic=not stochastic)
-    raise PolicyNotFoundError(
-        f"no policy makes the tier {tier!r}; valid: {EXPERT}, random, or any name with --policy FILE"
-    )
+    raise PolicyNotFoundError(f"no single policy makes the tier {tier!r}; valid: {EXPERT}, random, or a path")
 
 
 def expert_actor(variant: Variant, *, deterministic: bool = True) -> Actor:
@@ -255,7 +253,7 @@ def expert_actor(variant: Variant, *, deterministic: bool = True) -> Actor:
             f"there is no expert policy for {variant}: train one with `imujoco train {variant}`, "
             f"or give one with --policy FILE; {len(expert_variants())} are there, see `imujoco policies`"
         )
-    path = _find(f"{variant}.safetensors", None)
+    path = find_policy_file(f"{variant}.safetensors")
     if path is None:
         raise PolicyNotFoundError(f"the record of {variant} is there, but not its weights")
     return _actor_of(path.read_bytes(), path.name, record["algorithm"], deterministic, record)
@@ -271,7 +269,7 @@ def expert_record(variant: Variant, folder: Path | None = None) -> Mapping[str, 
     Raises:
         PolicyError: when the record cannot be read.
     """
-    path = _find(f"{variant}.json", folder)
+    path = find_policy_file(f"{variant}.json", folder)
     if path is None:
         return {}
     try:
@@ -289,7 +287,7 @@ def expert_variants() -> tuple[Variant, ...]:
 
 def expert_agent(variant: Variant, folder: Path | None = None) -> Path | None:
     """Return the file of the whole agent that variants of a base start from, or None."""
-    return _find(f"{variant}.agent.safetensors", folder)
+    return find_policy_file(f"{variant}.agent.safetensors", folder)
 
 
 def policies_folder() -> Path:
@@ -298,8 +296,13 @@ def policies_folder() -> Path:
     return (Path(home) if home else Path.home() / ".imujoco") / "policies"
 
 
-def read_actor(path: Path, *, deterministic: bool = True) -> Actor:
+def read_actor(path: Path, *, deterministic: bool = True, algorithm: str = "SAC") -> Actor:
     """Read an actor from a Stable-Baselines3 ``.zip`` or a ``.safetensors`` file.
+
+    Args:
+        path: the file.
+        deterministic: whether the actor acts by its mode.
+        algorithm: what trained the actor of a ``.safetensors``, which does not say so itself.
 
     Raises:
         PolicyNotFoundError: when there is no such file.
@@ -310,7 +313,7 @@ def read_actor(path: Path, *, deterministic: bool = True) -> Actor:
     if path.stat().st_size > MAX_POLICY_FILE:
         raise PolicyError(f"{path} has {path.stat().st_size} bytes; the limit is {MAX_POLICY_FILE}")
     if path.suffix == ".safetensors":
-        return _actor_of(path.read_bytes(), str(path), "SAC", deterministic, {})
+        return _actor_of(path.read_bytes(), str(path), algorithm, deterministic, {})
     if not zipfile.is_zipfile(path):
         raise PolicyError(
             f"{path} is no policy; valid: a Stable-Baselines3 SAC .zip, or an actor's .safetensors"
@@ -425,7 +428,8 @@ def _places(folder: Path | None) -> tuple[Path, Path]:
     )
 
 
-def _find(name: str, folder: Path | None) -> Path | None:
+def find_policy_file(name: str, folder: Path | None = None) -> Path | None:
+    """Return the file ``name`` among the user's policies (or in ``folder``), else among the shipped, or None."""
     return next((place / name for place in _places(folder) if (place / name).is_file()), None)
 
 

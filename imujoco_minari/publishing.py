@@ -28,10 +28,12 @@ from imujoco_minari.collection import collect
 from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError, JobError
 from imujoco_minari.mjcf import canonical_mjcf, mjcf_sha256
 from imujoco_minari.parallel import run_jobs
-from imujoco_minari.policies import Policy, load_policy
+from imujoco_minari.policies import Policy
 from imujoco_minari.references import reference_scores
+from imujoco_minari.tiers import Part, parts
 from imujoco_minari.variants import EXPERT, Variant
 from imujoco_minari.verification import inspect
+from imujoco_minari.writing import writing
 
 Progress = Callable[[], None]
 
@@ -77,9 +79,9 @@ class Recipe:
         """What each episode carries: whence it came too, which a collection of it then says."""
         return self.attributes | {"source": self.dataset_id}
 
-    def load_policy(self) -> Policy:
-        """Return the policy that the recipe names."""
-        return load_policy(self.variant, tier=self.tier, path=self.policy, stochastic=self.stochastic)
+    def parts(self) -> list[Part]:
+        """Return the policies that make the dataset, and how many episodes each."""
+        return parts(self.variant, self.tier, self.episodes, path=self.policy, stochastic=self.stochastic)
 
 
 @dataclass(frozen=True)
@@ -140,13 +142,13 @@ def publish(
     if roots.taken(recipe.dataset_id) and not force:
         return _summary(recipe.dataset_id, created=False)
     start = time.monotonic()
-    policy = recipe.load_policy()
+    made_by = recipe.parts()
     with roots.staging(recipe.dataset_id) as folder:
         staged = folder / "dataset"
         staged.mkdir()
         data = staged / "data"
-        _roll_out(recipe, policy, data, jobs, on_episode)
-        _complete(recipe, policy, data)
+        _roll_out(recipe, made_by, data, jobs, on_episode)
+        _complete(recipe, made_by, data)
         created = _commit(staged, recipe.dataset_id, force)
     return _summary(recipe.dataset_id, created=created, seconds=time.monotonic() - start)
 
@@ -245,55 +247,74 @@ def _attempt(recipe: Recipe, force: bool) -> Published:
         return Published(recipe.dataset_id, error=str(error))
 
 
-def _roll_out(recipe: Recipe, policy: Policy, data: Path, jobs: int, on_episode: Progress | None) -> None:
-    """Record the recipe's episodes in ``data``, with several jobs in shares that are joined in order."""
-    shares = np.array_split(np.arange(recipe.episodes), min(jobs * 4, recipe.episodes) if jobs > 1 else 1)
-    if len(shares) == 1:
-        _record(recipe, policy, (range(recipe.episodes), data), on_episode)
-        return
-    parts = [data.with_name(f"share-{number}") for number in range(len(shares))]
-    work = [(share.tolist(), part) for share, part in zip(shares, parts, strict=True)]
-    for number, outcome in run_jobs(partial(_record, recipe, policy), work, jobs=jobs):
-        if isinstance(outcome, JobError):
-            raise outcome
-        for _ in shares[number]:
-            if on_episode is not None:
-                on_episode()
-    _join(parts, data)
+@dataclass(frozen=True)
+class _Share:
+    """Episodes of one part of a dataset that are recorded in one go, in a folder."""
+
+    part: Part
+    episodes: Sequence[int]
+    folder: Path
 
 
-def _record(
-    recipe: Recipe, policy: Policy, share: tuple[Iterable[int], Path], on_episode: Progress | None = None
+def _roll_out(
+    recipe: Recipe, made_by: Sequence[Part], data: Path, jobs: int, on_episode: Progress | None
 ) -> None:
-    """Record some of the recipe's episodes in a folder, in the place of what a lost worker left there."""
-    episodes, folder = share
-    shutil.rmtree(folder, ignore_errors=True)
-    collect(recipe.variant, policy, episodes, recipe.seed, folder, recipe.episode_attributes, on_episode)
+    """Record the recipe's episodes in ``data``, in shares that are joined in order."""
+    shares = list(_shares(made_by, data, jobs))
+    if jobs == 1:
+        for share in shares:
+            _record(recipe, share, on_episode)
+    else:
+        for number, outcome in run_jobs(partial(_record, recipe), shares, jobs=jobs):
+            if isinstance(outcome, JobError):
+                raise outcome
+            for _ in shares[number].episodes:
+                if on_episode is not None:
+                    on_episode()
+    _join([share.folder for share in shares], data)
 
 
-def _join(parts: Sequence[Path], data: Path) -> None:
-    """Move the episodes of all parts, in order, behind those of the first, which becomes ``data``."""
-    first, *others = parts
+def _shares(made_by: Sequence[Part], data: Path, jobs: int) -> Iterator[_Share]:
+    """Divide the episodes: one share a part with one job, about four a job with several."""
+    first = number = 0
+    for part in made_by:
+        wanted = 1 if jobs == 1 else -(-4 * jobs // len(made_by))
+        for episodes in np.array_split(np.arange(part.episodes) + first, min(wanted, part.episodes)):
+            yield _Share(part, episodes.tolist(), data.with_name(f"share-{number}"))
+            number += 1
+        first += part.episodes
+
+
+def _record(recipe: Recipe, share: _Share, on_episode: Progress | None = None) -> None:
+    """Record a share, in the place of what a lost worker left in its folder."""
+    shutil.rmtree(share.folder, ignore_errors=True)
+    attributes = {**recipe.episode_attributes, **share.part.attributes}
+    collect(
+        recipe.variant, share.part.policy, share.episodes, recipe.seed, share.folder, attributes, on_episode
+    )
+
+
+def _join(folders: Sequence[Path], data: Path) -> None:
+    """Move the episodes of all folders, in order, behind those of the first, which becomes ``data``."""
+    first, *others = folders
+    if not others:
+        first.rename(data)
+        return
     storage = MinariStorage.read(first)
     steps = storage.total_steps
-    with h5py.File(content.main_file(first), "a", track_order=True) as target:
+    with writing(content.main_file(first)) as target:
         for other in others:
             with h5py.File(content.main_file(other), "r") as source:
                 steps += copying.copy_episodes(source, range(len(source)), target, "").steps
-            _remove(other)
+            shutil.rmtree(other)
         episodes = len(target)
     storage.update_metadata({"total_episodes": episodes, "total_steps": steps})
     first.rename(data)
 
 
-def _remove(part: Path) -> None:
-    for file in part.iterdir():
-        file.unlink()
-    part.rmdir()
-
-
-def _complete(recipe: Recipe, policy: Policy, data: Path) -> None:
+def _complete(recipe: Recipe, made_by: Sequence[Part], data: Path) -> None:
     """Add what the collector did not record: the root's attributes and digests, and the metadata."""
+    policies = [part.policy for part in made_by]
     storage = MinariStorage.read(data)
     storage.update_metadata(
         _seal(storage, recipe.attributes, canonical_mjcf(recipe.variant))
@@ -301,13 +322,13 @@ def _complete(recipe: Recipe, policy: Policy, data: Path) -> None:
         | {
             "dataset_id": recipe.dataset_id,
             "minari_version": version("minari"),
-            "algorithm_name": policy.algorithm,
+            "algorithm_name": _algorithms(policies),
             "author": {"imujoco_minari"},
             "code_permalink": f"imujoco-minari=={version('imujoco-minari')}",
-            "description": _description(recipe, policy),
+            "description": _description(recipe, policies),
             "requirements": [f"{name}=={version(name)}" for name in ("mujoco", "gymnasium")],
-            "policy_sha256": policy.sha256,
-            "policy_deterministic": policy.deterministic,
+            "policy_sha256": ",".join(policy.sha256 for policy in policies),
+            "policy_deterministic": all(policy.deterministic for policy in policies),
             "seed": recipe.seed,
             "versions": {
                 name: version(name) for name in ("imujoco-minari", "mujoco", "gymnasium", "minari", "numpy")
@@ -320,7 +341,7 @@ def _complete(recipe: Recipe, policy: Policy, data: Path) -> None:
 
 def _seal(storage: MinariStorage, attributes: Mapping[str, Any], mjcf: str) -> dict[str, Any]:
     """Write attributes and digests to the HDF5 file's root; return them as the metadata repeats them."""
-    with h5py.File(content.main_file(storage.data_path), "a") as file:
+    with writing(content.main_file(storage.data_path)) as file:
         digests = {
             "mjcf_sha256": mjcf_sha256(mjcf),
             "content_sha256": content.content_sha256(file, len(file)),
@@ -332,14 +353,18 @@ def _seal(storage: MinariStorage, attributes: Mapping[str, Any], mjcf: str) -> d
 def _seal_episodes(storage: MinariStorage, attributes: Mapping[str, Any]) -> None:
     """Write attributes and digests to episodes that were not recorded by :func:`collect`."""
     storage.update_episode_metadata(storage.apply(EpisodeMetadataCallback()))
-    with h5py.File(content.main_file(storage.data_path), "a") as file:
+    with writing(content.main_file(storage.data_path)) as file:
         for episode in range(len(file)):
             group = file[f"episode_{episode}"]
             group.attrs.update(attributes)
             content.seal_episode(group)
 
 
-def _description(recipe: Recipe, policy: Policy) -> str:
+def _algorithms(policies: Sequence[Policy]) -> str:
+    return ", ".join(dict.fromkeys(policy.algorithm for policy in policies))
+
+
+def _description(recipe: Recipe, policies: Sequence[Policy]) -> str:
     variant = recipe.variant
     change = (
         "unchanged"
@@ -348,8 +373,9 @@ def _description(recipe: Recipe, policy: Policy) -> str:
     )
     return (
         f"iMuJoCo, rebuilt: the robot {variant.robot} of Gymnasium's v5 environments, {change}. "
-        f"{recipe.episodes} episodes of the tier {recipe.tier}, by a {policy.algorithm} policy that acts "
-        f"{'deterministically' if policy.deterministic else 'stochastically'}."
+        f"{recipe.episodes} episodes of the tier {recipe.tier}, by {len(policies)} "
+        f"{'policy' if len(policies) == 1 else 'policies'} ({_algorithms(policies)}) acting "
+        f"{'deterministically' if all(policy.deterministic for policy in policies) else 'stochastically'}."
     )
 
 
