@@ -54,6 +54,10 @@ class TrainingError(ImujocoError, RuntimeError):
     """Training cannot start, continue or end as asked."""
 
 
+class TransferError(ImujocoError, RuntimeError):
+    """An evaluation of policies across variants that cannot be made or gone on with."""
+
+
 class RenderingError(ImujocoError, RuntimeError):
     """A picture or a video that cannot be drawn or written."""
 

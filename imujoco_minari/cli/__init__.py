@@ -7,7 +7,19 @@ Exit codes: 0 done, 1 failed, 2 asked for something that does not exist, 130 int
 from __future__ import annotations
 
 # Each import adds its module's commands to the application, in the order that the help shows.
-from imujoco_minari.cli import catalogue, datasets, export, gallery, importing, remote, render, training
+from imujoco_minari.cli import catalogue, datasets, export, gallery, importing, plot, remote, render, training
 from imujoco_minari.cli.app import app, main
 
-__all__ = ["app", "catalogue", "datasets", "export", "gallery", "importing", "main", "remote", "render", "training"]
+__all__ = [
+    "app",
+    "catalogue",
+    "datasets",
+    "export",
+    "gallery",
+    "importing",
+    "main",
+    "plot",
+    "remote",
+    "render",
+    "training",
+]

@@ -17,8 +17,9 @@ from imujoco_minari.errors import ImujocoError, RenderingError, StorageError
 from imujoco_minari.gallery.clips import ClipMaker
 from imujoco_minari.gallery.entries import RANDOM, Clip, Entry, Score, changes, scores
 from imujoco_minari.gallery.pages import index_page, variant_page
-from imujoco_minari.rendering.files import check_format, whole_file
+from imujoco_minari.rendering.files import check_format
 from imujoco_minari.variants import Variant, bases, catalogue
+from imujoco_minari.whole_files import write_text
 
 STATE = "gallery.json"
 FORMAT = 1
@@ -53,8 +54,8 @@ def build(
         on_variant: called after each variant.
 
     Raises:
-        StorageError: when the folder is another's.
-        RenderingError: when there is no OpenGL to draw with, or a file cannot be written.
+        StorageError: when the folder is another's, or cannot be written.
+        RenderingError: when there is no OpenGL to draw with.
         DependencyError: when what writes the clips is not installed.
     """
     check_format(Path("clip.mp4"))
@@ -67,7 +68,8 @@ def build(
             try:
                 clip, key, new = maker.draw(variant, known)
                 entry = Entry(variant, changes(variant), scores(variant, _known_random(known)), clip)
-            except RenderingError:
+            except (RenderingError, StorageError):
+                # What stops one picture stops them all.
                 raise
             except ImujocoError as error:
                 failed[str(variant)] = str(error)
@@ -76,7 +78,7 @@ def build(
                 entries.append(entry)
                 drawn += new
                 _note(known, entry, clip, key)
-                _write(folder / STATE, json.dumps(state, indent=1) + "\n")
+                write_text(folder / STATE, json.dumps(state, indent=1) + "\n")
             if on_variant is not None:
                 on_variant()
     _write_pages(folder, entries)
@@ -96,11 +98,13 @@ def _write_pages(folder: Path, entries: Sequence[Entry]) -> None:
             entries[number + 1].variant if number + 1 < len(entries) else None,
         )
         text = variant_page(entry, by_robot.get(entry.variant.robot), neighbours)
-        _write(folder / "variants" / f"{entry.variant}.html", text)
+        write_text(folder / "variants" / f"{entry.variant}.html", text)
     for name in ASSETS:
-        _write(folder / name, (resources.files("imujoco_minari.gallery") / "site" / name).read_text("utf-8"))
+        write_text(
+            folder / name, (resources.files("imujoco_minari.gallery") / "site" / name).read_text("utf-8")
+        )
     # Last, as it leads to all the others.
-    _write(folder / "index.html", index_page(entries))
+    write_text(folder / "index.html", index_page(entries))
 
 
 def _read_state(folder: Path) -> dict[str, Any]:
@@ -138,8 +142,3 @@ def _in_order(variants: set[Variant]) -> list[Variant]:
     listed = [v for base in bases() for v in (base, *catalogue(base.robot))]
     rank = {variant: number for number, variant in enumerate(listed)}
     return sorted(variants, key=lambda variant: (rank.get(variant, len(rank)), variant))
-
-
-def _write(path: Path, text: str) -> None:
-    with whole_file(path) as partial:
-        partial.write_text(text, "utf-8")

@@ -69,7 +69,8 @@ class ClipMaker:
             What the clip shows, its key, and whether anything was drawn.
 
         Raises:
-            RenderingError: when there is no OpenGL to draw with, or a file cannot be written.
+            RenderingError: when there is no OpenGL to draw with.
+            StorageError: when a file cannot be written.
             PolicyError: when the variant's policy cannot be read.
         """
         policy, tier = choose_policy(variant)

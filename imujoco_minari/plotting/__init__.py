@@ -1,1 +1,1 @@
-"""Figures of datasets and of policies' transfer."""
+"""Figures of datasets and of policies' transfer, by matplotlib."""

@@ -49,7 +49,8 @@ def render_motions(
         on_frame: called after each picture.
 
     Raises:
-        RenderingError: when there is no OpenGL to draw with, or the file cannot be written.
+        RenderingError: when there is no OpenGL to draw with.
+        StorageError: when the file cannot be written.
         DependencyError: when what writes an ``.mp4`` is not installed.
     """
     steps = frame_steps(motions, path, sheet=sheet)

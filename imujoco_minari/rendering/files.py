@@ -1,19 +1,15 @@
-"""Frames into files: MP4 by the ffmpeg that ``imageio-ffmpeg`` brings, GIF and PNG by Pillow.
-
-A file is written beside its place and renamed into it, so that an interrupted run leaves none half done.
-"""
+"""Frames into files: MP4 by the ffmpeg that ``imageio-ffmpeg`` brings, GIF and PNG by Pillow."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
 from itertools import chain
 from pathlib import Path
 
 from PIL import Image
 
 from imujoco_minari.errors import RenderingError, missing_dependency
+from imujoco_minari.whole_files import whole_file
 
 FORMATS = (".mp4", ".gif", ".png")
 
@@ -52,7 +48,7 @@ def write_video(
         quality: H.264's constant rate factor, lower is better and larger.
 
     Raises:
-        RenderingError: when the file cannot be written.
+        StorageError: when the file cannot be written.
     """
     ending = check_format(path)
     with whole_file(path) as partial:
@@ -66,29 +62,10 @@ def write_picture(path: Path, picture: Image.Image) -> None:
     """Write one picture, in the format of the path's ending.
 
     Raises:
-        RenderingError: when the file cannot be written.
+        StorageError: when the file cannot be written.
     """
     with whole_file(path) as partial:
         picture.save(partial, optimize=True)
-
-
-@contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
-    """Yield a partial name beside ``path``, which takes its place at the end unless there was an error.
-
-    Raises:
-        RenderingError: when the place cannot be written.
-    """
-    partial = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield partial
-        partial.replace(path)
-    except OSError as error:
-        raise RenderingError(f"cannot write {path}: {error.strerror or error}") from None
-    finally:
-        with suppress(OSError):
-            partial.unlink()
 
 
 def _write_mp4(path: Path, pictures: Iterator[Image.Image], per_second: float, quality: int) -> None:

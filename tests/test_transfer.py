@@ -1,0 +1,208 @@
+"""Policies on variants they were not made for: every cell once, kept, gone on with, as CSV and as picture."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from safetensors.numpy import save_file
+
+from imujoco_minari import transfer as module
+from imujoco_minari.cli.app import run
+from imujoco_minari.errors import PolicyError, PolicyNotFoundError, StorageError, TransferError
+from imujoco_minari.policies import Actor, Policy, RandomPolicy
+from imujoco_minari.registration import make
+from imujoco_minari.rollouts import evaluate
+from imujoco_minari.transfer import COLUMNS, columns, evaluate_transfer, expert_policies, write_csv
+from imujoco_minari.variants import Variant
+
+VARIANTS = tuple(
+    Variant.parse(f"hopper-{name}") for name in ("base", "massdec_50_footgeom", "lengthinc_50_leggeom")
+)
+
+
+def actor(seed: int, sizes: tuple[int, int] = (11, 3)) -> Actor:
+    rng = np.random.default_rng(seed)
+    shapes = {
+        "latent_pi.0.weight": (8, sizes[0]),
+        "latent_pi.0.bias": (8,),
+        "mu.weight": (sizes[1], 8),
+        "mu.bias": (sizes[1],),
+        "log_std.weight": (sizes[1], 8),
+        "log_std.bias": (sizes[1],),
+    }
+    return Actor({name: rng.standard_normal(shape).astype(np.float32) for name, shape in shapes.items()})
+
+
+@pytest.fixture
+def policies() -> dict[str, Policy]:
+    return {"hopper-base": actor(0), "mine": actor(1), "random": RandomPolicy(3)}
+
+
+@pytest.fixture
+def evaluated(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
+    """The cells that are really evaluated."""
+    cells: list[tuple[str, str]] = []
+    inner = module._evaluate
+
+    def count(cell: Any) -> Any:
+        cells.append((cell.policy_name, str(cell.variant)))
+        return inner(cell)
+
+    monkeypatch.setattr(module, "_evaluate", count)
+    return cells
+
+
+def test_every_policy_is_evaluated_on_every_variant(tmp_path: Path, policies: dict[str, Policy]) -> None:
+    seen: list[int] = []
+    result = evaluate_transfer(
+        policies, VARIANTS, tmp_path / "state.json", episodes=2, seed=4, on_cell=lambda: seen.append(1)
+    )
+    assert result.policies == ("hopper-base", "mine", "random")
+    assert len(result.cells) == len(seen) == 9
+    env = make(VARIANTS[2])
+    expected = evaluate(env, policies["mine"], episodes=2, seed=4)
+    env.close()
+    assert result.cells["mine", VARIANTS[2]] == expected
+    assert result.returns()[1][2] == expected.return_mean
+
+
+def test_a_second_run_evaluates_nothing(
+    tmp_path: Path, policies: dict[str, Policy], evaluated: list[tuple[str, str]]
+) -> None:
+    first = evaluate_transfer(policies, VARIANTS, tmp_path / "state.json", episodes=1)
+    assert len(evaluated) == 9
+    second = evaluate_transfer(policies, VARIANTS, tmp_path / "state.json", episodes=1)
+    assert len(evaluated) == 9
+    assert second == first
+
+
+def test_a_run_that_was_broken_off_goes_on(
+    tmp_path: Path, policies: dict[str, Policy], evaluated: list[tuple[str, str]]
+) -> None:
+    def stop() -> None:
+        if len(evaluated) == 4:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        evaluate_transfer(policies, VARIANTS, tmp_path / "state.json", episodes=1, on_cell=stop)
+    evaluate_transfer(policies, VARIANTS, tmp_path / "state.json", episodes=1)
+    assert len(evaluated) == len(set(evaluated)) == 9
+    assert [path.name for path in tmp_path.iterdir()] == ["state.json"]
+
+
+@pytest.mark.parametrize(("change", "anew"), [("policy", 3), ("seed", 9), ("episodes", 9), ("stochastic", 3)])
+def test_what_has_changed_is_evaluated_anew(
+    change: str, anew: int, tmp_path: Path, policies: dict[str, Policy], evaluated: list[tuple[str, str]]
+) -> None:
+    evaluate_transfer(policies, VARIANTS, tmp_path / "state.json", episodes=1)
+    evaluated.clear()
+    options = {"episodes": 2 if change == "episodes" else 1, "seed": int(change == "seed")}
+    if change == "policy":
+        policies["mine"] = actor(2)
+    if change == "stochastic":
+        policies["mine"] = Actor(actor(1).weights, deterministic=False)
+    evaluate_transfer(policies, VARIANTS, tmp_path / "state.json", **options)
+    assert len(evaluated) == anew
+
+
+def test_several_processes_find_the_same(tmp_path: Path, policies: dict[str, Policy]) -> None:
+    alone = evaluate_transfer(policies, VARIANTS[:2], tmp_path / "a.json", episodes=1)
+    together = evaluate_transfer(policies, VARIANTS[:2], tmp_path / "b.json", episodes=1, jobs=2)
+    assert alone == together
+
+
+def test_a_policy_of_another_robot_is_refused_before_the_work(
+    tmp_path: Path, evaluated: list[tuple[str, str]]
+) -> None:
+    with pytest.raises(PolicyError, match="it fits halfcheetah and walker2d"):
+        evaluate_transfer({"a": actor(0), "b": actor(0, (17, 6))}, VARIANTS, tmp_path / "state.json")
+    assert evaluated == []
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"format": 99, "cells": {}}'])
+def test_a_file_that_is_no_state_is_left_alone(
+    text: str, tmp_path: Path, policies: dict[str, Policy]
+) -> None:
+    state = tmp_path / "state.json"
+    state.write_text(text)
+    with pytest.raises(TransferError, match=r"state\.json is no state of a transfer"):
+        evaluate_transfer(policies, VARIANTS, state)
+    assert state.read_text() == text
+
+
+def test_a_place_that_cannot_be_written_is_named(tmp_path: Path, policies: dict[str, Policy]) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StorageError, match="cannot write"):
+        evaluate_transfer(policies, VARIANTS, tmp_path / "file" / "state.json", episodes=1)
+
+
+def test_the_numbers_are_written_as_csv(tmp_path: Path, policies: dict[str, Policy]) -> None:
+    result = evaluate_transfer(policies, VARIANTS, tmp_path / "state.json", episodes=2)
+    write_csv(result, tmp_path / "numbers.csv")
+    with (tmp_path / "numbers.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert tuple(rows[0]) == COLUMNS
+    assert len(rows) == 9
+    for row in rows:
+        cell = result.cells[row["policy"], Variant.parse(row["variant"])]
+        assert float(row["return_mean"]) == cell.return_mean
+        assert float(row["length_mean"]) == cell.length_mean
+        assert row["category"] == Variant.parse(row["variant"]).category
+
+
+def test_the_columns_are_the_base_and_the_catalogue() -> None:
+    assert len(columns("hopper")) == 38
+    assert str(columns("walker2d", "friction")[0]) == "walker2d-base"
+    assert len(columns("walker2d", "friction")) == 4
+
+
+def test_without_experts_it_is_said_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "expert_variants", lambda: ())
+    with pytest.raises(
+        PolicyNotFoundError, match=r"no expert policy of hopper for mass: train .* --policy FILE"
+    ):
+        expert_policies("hopper", "mass")
+
+
+def test_the_experts_come_in_the_order_of_the_columns(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "expert_variants", lambda: tuple(reversed(VARIANTS)))
+    monkeypatch.setattr(module, "expert_actor", lambda variant: actor(3))
+    assert list(expert_policies("hopper")) == [str(variant) for variant in VARIANTS]
+
+
+def test_the_command_writes_numbers_and_pictures_and_goes_on(
+    tmp_path: Path, evaluated: list[tuple[str, str]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("matplotlib")
+    save_file(dict(actor(5).weights), tmp_path / "mine.safetensors")
+    folder = tmp_path / "out"
+    arguments = ["transfer", "--robot", "hopper", "-c", "friction", "-n", "1", "--out", str(folder)]
+    arguments += ["--policy", str(tmp_path / "mine.safetensors")]
+    assert run(arguments) == 0
+    assert "1 policies on 4 variants" in capsys.readouterr().out
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "transfer.csv",
+        "transfer.json",
+        "transfer.png",
+        "transfer.svg",
+    ]
+    assert len(evaluated) == 4
+    assert run([*arguments, "--json"]) == 0
+    assert len(evaluated) == 4
+    told = json.loads(capsys.readouterr().out)
+    assert told["policies"] == ["mine"]
+    assert np.shape(told["returns"]) == (1, 4)
+
+
+def test_the_command_names_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["transfer"]) == 2
+    assert "--robot" in capsys.readouterr().err
+    assert run(["transfer", "--robot", "hoper"]) == 2
+    assert "did you mean" in capsys.readouterr().err
+    assert run(["transfer", "--robot", "hopper", "--policy", str(tmp_path / "none.zip")]) == 1
+    assert "no policy file at" in capsys.readouterr().err
