@@ -115,7 +115,8 @@ def _draw(candidates: Array, scores: Array, count: int, name: str, rng: np.rando
 
 def _returns(data: Arrays, starts: Array, length: int) -> Array:
     sums = np.concatenate(([0.0], np.cumsum(data.rewards, dtype=np.float64)))
-    return np.subtract(sums[starts + length], sums[starts])
+    returns: Array = sums[starts + length] - sums[starts]
+    return returns
 
 
 def _tier_scores(data: Arrays, tiers: Sequence[str]) -> Array:
