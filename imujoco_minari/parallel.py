@@ -1,4 +1,7 @@
-"""Independent jobs on several processes or machines, through joblib; a job that is lost is run again.
+"""Independent jobs on several processes or machines; a job that is lost is run again.
+
+Through joblib, but on Ray: joblib's Ray back end gives all results at the end or none, and cannot say
+which job was lost, while Ray's own tasks can.
 
 A worker may be killed, by the system for its memory or with its machine. Every job here publishes,
 trains or verifies one thing and is safe to run twice, so what had no result when workers were lost is
@@ -9,16 +12,18 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 from imujoco_minari.errors import DependencyError, JobError
 
 Argument = TypeVar("Argument")
 Result = TypeVar("Result")
+# A job's number, and its result or what it raised.
+_Called: TypeAlias = tuple[int, Any, Exception | None]
 
 BACKENDS = ("loky", "multiprocessing", "ray", "dask")
-CLUSTERS = ("ray", "dask")
 # How often a job may take its worker down before it is given up.
 ATTEMPTS = 3
 
@@ -56,17 +61,23 @@ def run_jobs(
         for number, argument in enumerate(arguments):
             yield number, function(argument)
         return
-    if backend in CLUSTERS:
-        _connect(backend)
+    if backend == "ray":
+        _connect_ray()
+    elif backend == "dask":
+        _connect_dask()
         jobs = -1 if jobs == 1 else jobs
     places = {name: _absolute(os.environ.get(name)) for name in _PLACES}
+    if backend == "ray":
+        yield from _run_on_ray(function, places, arguments)
+        return
+    call = partial(_call, function, places)
     waiting, alone, losses = dict(enumerate(arguments)), False, 0
     while waiting:
         before, lost = len(waiting), None
         # A job that takes its worker down takes others with it: after a round without a result, one at
         # a time shows which.
         handed_out = dict([*waiting.items()][:1]) if alone else dict(waiting)
-        finished = _round(function, handed_out, places, jobs, backend)
+        finished = _round(call, handed_out, jobs, backend)
         while True:
             try:
                 number, result, raised = next(finished)
@@ -84,26 +95,54 @@ def run_jobs(
         if losses == ATTEMPTS:
             (number,) = handed_out
             del waiting[number]
-            yield number, JobError(f"lost with its worker {ATTEMPTS} times: {type(lost).__name__}: {lost}")
+            yield number, _given_up(lost)
             alone, losses = False, 0
 
 
 def _round(
-    function: Callable[[Argument], Result],
-    work: dict[int, Argument],
-    places: dict[str, str | None],
-    jobs: int,
-    backend: str | None,
-) -> Iterator[tuple[int, Any, Exception | None]]:
-    from joblib import Parallel, delayed
+    call: Callable[[int, Any], _Called], work: dict[int, Any], jobs: int, backend: str | None
+) -> Iterator[_Called]:
+    from joblib import Parallel, delayed, parallel_config
 
-    pool = Parallel(n_jobs=jobs, backend=backend, return_as="generator_unordered", batch_size=1)
-    yield from pool(delayed(_call)(function, number, argument, places) for number, argument in work.items())
+    # The configuration knows Dask's back end, which Parallel does not until it has been named here.
+    with parallel_config(backend=backend or "loky"):
+        pool = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
+    return iter(pool(delayed(call)(number, argument) for number, argument in work.items()))
+
+
+def _run_on_ray(
+    function: Callable[[Any], Any], places: dict[str, str | None], arguments: Sequence[Any]
+) -> Iterator[tuple[int, Any]]:
+    """Run all as tasks of the Ray cluster, each on one of its processors."""
+    import ray
+    from ray.exceptions import RayError
+
+    # Lost tasks are counted here, so that Ray and we do not both run them again.
+    task = ray.remote(num_cpus=1, max_retries=0)(_call)
+    running = {
+        task.remote(function, places, number, argument): number for number, argument in enumerate(arguments)
+    }
+    losses = dict.fromkeys(range(len(arguments)), 0)
+    while running:
+        (finished,), _ = ray.wait(list(running), num_returns=1)
+        number = running.pop(finished)
+        try:
+            _, result, raised = ray.get(finished)
+        except RayError as error:
+            losses[number] += 1
+            if losses[number] < ATTEMPTS:
+                running[task.remote(function, places, number, arguments[number])] = number
+            else:
+                yield number, _given_up(error)
+            continue
+        if raised is not None:
+            raise raised
+        yield number, result
 
 
 def _call(
-    function: Callable[[Argument], Result], number: int, argument: Argument, places: dict[str, str | None]
-) -> tuple[int, Result | None, Exception | None]:
+    function: Callable[[Any], Any], places: dict[str, str | None], number: int, argument: Any
+) -> _Called:
     for name, place in places.items():
         # A worker lives on from an earlier call, or on another machine, with an environment of its own.
         if place is None:
@@ -116,24 +155,19 @@ def _call(
         return number, None, error
 
 
+def _given_up(error: Exception | None) -> JobError:
+    first_line = (str(error).strip() or "no reason given").splitlines()[0][:200]
+    return JobError(f"lost with its worker {ATTEMPTS} times: {type(error).__name__}: {first_line}")
+
+
 def _absolute(path: str | None) -> str | None:
     return None if path is None else str(Path(path).absolute())
 
 
-def _connect(backend: str) -> None:
-    """Connect to the cluster that runs already; its address is in ``RAY_ADDRESS`` or known to Ray, or in
-    ``DASK_SCHEDULER_ADDRESS``, unless the caller has connected.
-    """
-    if backend == "ray":
-        _connect_ray()
-    else:
-        _connect_dask()
-
-
 def _connect_ray() -> None:
+    """Connect to the Ray cluster that is named in ``RAY_ADDRESS`` or runs here, unless the caller has."""
     try:
         import ray
-        from ray.util.joblib import register_ray
     except ImportError:
         raise _missing("ray", "ray") from None
     if not ray.is_initialized():
@@ -146,10 +180,10 @@ def _connect_ray() -> None:
                 f"no Ray cluster can be reached: start one with `ray start --head`, or name it in "
                 f"RAY_ADDRESS ({str(error).splitlines()[0][:120]})"
             ) from None
-    register_ray()
 
 
 def _connect_dask() -> None:
+    """Connect to the Dask cluster that is named in ``DASK_SCHEDULER_ADDRESS``, unless the caller has."""
     try:
         from distributed import Client, get_client
     except ImportError:
