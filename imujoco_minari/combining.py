@@ -33,6 +33,7 @@ from imujoco_minari.importing.original import (
 from imujoco_minari.registration import collection_spec, environment_spec
 from imujoco_minari.variants import EXPERT, NAMESPACE, Variant, catalogue
 from imujoco_minari.verification.identity import read_metadata
+from imujoco_minari.writing import writing
 
 # Attributes that a collection carries itself where all its episodes agree on them.
 _COMMON = ("variant", "robot", "category", "body", "percent", "tier")
@@ -96,7 +97,8 @@ def combine_datasets(
         _describe(sources, staged / "data", new_dataset_id, attributes)
         content.seal_files(staged / "data")
         roots.commit(staged, new_dataset_id, replace=force)
-    return MinariDataset(folder / "data")
+    with roots.failures_named():
+        return MinariDataset(folder / "data")
 
 
 def published_ids(robot: str, category: str | None = None, tier: str = EXPERT) -> list[str]:
@@ -194,7 +196,7 @@ def _write(sources: Sequence[_Source], data: Path, linked_from: Path | None) -> 
     )
     attributes: list[dict[str, Any]] = []
     steps, digests = 0, list[str]()
-    with h5py.File(content.main_file(data), "w", track_order=True) as target:
+    with writing(content.main_file(data), new=True) as target:
         for source in sources:
             with h5py.File(source.file, "r") as file:
                 source.check(file)
@@ -244,7 +246,7 @@ def _describe(
         **({CATALOGUE: ORIGINAL} if is_original(sources[0].storage.metadata) else {}),
         "requirements": sorted({str(r) for s in sources for r in s.storage.metadata.get("requirements", [])}),
     }
-    with h5py.File(content.main_file(data), "a") as file:
+    with writing(content.main_file(data)) as file:
         file.attrs.update(common)
         if "content_sha256" in file.attrs:
             metadata["content_sha256"] = file.attrs["content_sha256"]

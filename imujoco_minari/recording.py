@@ -8,6 +8,7 @@ open, an array lies in one piece, and the metadata is written when it is asked f
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
 from typing import Any
 
 import h5py
@@ -19,6 +20,7 @@ from minari.dataset._storages.hdf5_storage import HDF5Storage, flatten_dict
 from numpy.typing import NDArray
 
 from imujoco_minari import content
+from imujoco_minari.writing import writing
 
 _SCALAR = h5s.create(h5s.SCALAR)
 _TEXT = h5py.string_dtype()
@@ -38,12 +40,16 @@ class EpisodeStorage(HDF5Storage):  # type: ignore[misc]
     _episodes: int
     _steps: int
 
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._open = ExitStack()
+
     def update_episodes(self, episodes: Iterable[EpisodeBuffer]) -> None:
         """Append episodes; each is new, has observations and actions of plain arrays, and no infos."""
         if self._file is None:
             metadata = super().metadata
             self._episodes, self._steps = metadata["total_episodes"], metadata["total_steps"]
-            self._file = h5py.File(self._file_path, "a", track_order=True)
+            self._file = self._open.enter_context(writing(self._file_path))
         for buffer in episodes:
             arrays = {key: np.asarray(getattr(buffer, key)) for key in content.ARRAYS}
             length = len(arrays["rewards"])
@@ -65,8 +71,8 @@ class EpisodeStorage(HDF5Storage):  # type: ignore[misc]
     def flush(self) -> None:
         """Write what is pending to the disk and close the file."""
         if self._file is not None:
-            self._file.close()
             self._file = None
+            self._open.close()
             self.update_metadata(
                 {
                     "total_episodes": self._episodes,
