@@ -165,11 +165,7 @@ def table(
 
 
 def write_archive(
-    place: Path,
-    variants: tuple[str, ...],
-    *,
-    episodes: int = 3,
-    columns: tuple[str, ...] = ("reward", "done"),
+    place: Path, variants: tuple[str, ...], episodes: int = 3, columns: tuple[str, ...] = ("reward", "done")
 ) -> Path:
     """An unpacked archive of some variants."""
     for part in ("xml", "policies", "dataset"):
