@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -269,13 +270,15 @@ def test_a_malformed_address_is_told(address: str) -> None:
         stores.connect(address)
 
 
-@pytest.mark.parametrize(("address", "package"), [("hf://u", "huggingface_hub"), ("gcp://b", "google.cloud")])
+@pytest.mark.parametrize(
+    ("address", "package"), [("hf://u", "huggingface_hub"), ("gcp://b", "google.cloud.exceptions")]
+)
 def test_a_missing_package_is_told_with_its_remedy(
     address: str, package: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in ("huggingface", "gcp"):
-        monkeypatch.delitem(__import__("sys").modules, f"imujoco_minari.remotes.{name}", raising=False)
-    monkeypatch.setitem(__import__("sys").modules, package, None)
+        monkeypatch.delitem(sys.modules, f"imujoco_minari.remotes.{name}", raising=False)
+    monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(DependencyError, match=r'pip install "imujoco-minari\[remote\]"'):
         stores.connect(address)
 

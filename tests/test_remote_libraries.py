@@ -16,6 +16,7 @@ constants = pytest.importorskip("huggingface_hub.constants")
 pytest.importorskip("google.cloud.storage")
 
 from hub_server import TOKEN, Hub, HubServer
+from huggingface_hub import DatasetCard
 
 from imujoco_minari import remotes, roots
 from imujoco_minari.errors import RemoteError
@@ -64,7 +65,12 @@ def test_stock_minari_reads_what_was_pushed_to_the_hub(
     minari.download_dataset(HOPPER)
     for name in stores.FILES:
         assert (tmp_path / "elsewhere" / HOPPER / name).read_bytes() == (root / HOPPER / name).read_bytes()
-    assert b"# imujoco" in hub.head("user/imujoco").files["README.md"][0]
+    for path in ("README.md", "hopper-massdec_25_leggeom-random-v0/README.md"):
+        card = DatasetCard(hub.head("user/imujoco").files[path][0].decode())
+        assert card.data.license == "apache-2.0"
+        assert card.data.task_categories == ["reinforcement-learning", "robotics"]
+        assert card.data.size_categories == ["n<1K"]
+        assert {"minari", "imujoco"} <= set(card.data.tags)
 
 
 def test_each_dataset_is_one_commit_and_the_registry_keeps_the_others(hub: Hub) -> None:
