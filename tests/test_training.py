@@ -17,9 +17,11 @@ from imujoco_minari.registration import make
 from imujoco_minari.rollouts import evaluate
 from imujoco_minari.training.agents import agent_arrays, load_arrays, make_agent, restore_agent, save_arrays
 from imujoco_minari.training.hyperparameters import SCRATCH, WARM, hyperparameters
+from imujoco_minari.training.replay import record_replay
 from imujoco_minari.training.run import CONFIRMING_SEED, Run, Task
 from imujoco_minari.training.sweep import Plan, train, train_all
 from imujoco_minari.variants import ROBOTS, Variant
+from imujoco_minari.verification import verify
 
 BASE = Variant.parse("hopper-base")
 LIGHT_LEG = Variant.parse("hopper-massdec_25_leggeom")
@@ -78,6 +80,7 @@ def test_a_variant_is_trained_from_its_base_and_published(tmp_path: Path, unship
     assert actor.sha256 == record["weights_sha256"]
     measured = evaluate(make(LIGHT_LEG), actor, episodes=3, seed=CONFIRMING_SEED)
     assert measured.asdict() == record["evaluation"]
+    assert [rung["steps"] for rung in record["ladder"]] == [rung["steps"] for rung in expert_record(BASE)["ladder"]]
     # A finished one is never trained again.
     before = sorted((path.name, path.stat().st_mtime_ns) for path in policies_folder().iterdir())
     assert [outcome.created for outcome in train_all([LIGHT_LEG, BASE], plan)] == [False, False]
@@ -87,6 +90,20 @@ def test_a_variant_is_trained_from_its_base_and_published(tmp_path: Path, unship
     assert metadata["algorithm_name"] == "TQC"
     assert metadata["ref_max_score"] == record["evaluation"]["return_mean"]
     assert metadata["ref_min_score"] == record["random"]["return_mean"]
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_recorded_run_publishes_its_whole_episodes(tmp_path: Path) -> None:
+    task = Task(LIGHT_LEG, hyperparameters("hopper", SCRATCH, **TINY))
+    published = record_replay(task, tmp_path / "run")
+    dataset = minari.load_dataset(published.dataset_id)
+    assert published.dataset_id == "imujoco/hopper-massdec_25_leggeom-replay-v0"
+    # Three of four intervals cut an episode short; none of those is there.
+    assert 5 < dataset.total_episodes
+    assert all(episode.terminations[-1] or episode.truncations[-1] for episode in dataset)
+    assert 200 < dataset.total_steps < 350
+    assert verify(published.dataset_id) == []
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")

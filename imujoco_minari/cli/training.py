@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,7 +20,7 @@ from imujoco_minari.cli.app import (
     progress,
     say,
 )
-from imujoco_minari.cli.datasets import Backend, Jobs, select
+from imujoco_minari.cli.datasets import Backend, Jobs, report, select
 from imujoco_minari.policies import expert_record, expert_variants, policies_folder
 from imujoco_minari.variants import Variant
 
@@ -33,12 +34,18 @@ app.add_typer(policy, name="policy")
 
 @app.command("train")
 def train_variants(
-    variants: Annotated[list[str] | None, typer.Argument(help="Variant ids, of the catalogue or not.")] = None,
+    variants: Annotated[
+        list[str] | None, typer.Argument(help="Variant ids, of the catalogue or not.")
+    ] = None,
     robot: Robot = None,
     category: Category = None,
     everything: Annotated[bool, typer.Option("--all", help="The three bases and all 154 variants.")] = False,
-    scratch: Annotated[bool, typer.Option("--scratch", help="Do not start from the base robot's agent.")] = False,
-    max_steps: Annotated[int | None, typer.Option("--max-steps", min=1, help="Environment steps at most.")] = None,
+    scratch: Annotated[
+        bool, typer.Option("--scratch", help="Do not start from the base robot's agent.")
+    ] = False,
+    max_steps: Annotated[
+        int | None, typer.Option("--max-steps", min=1, help="Environment steps at most.")
+    ] = None,
     target: Annotated[float | None, typer.Option("--target", help="Return to stop at.")] = None,
     seed: Annotated[int, typer.Option("--seed", "-s", min=0, help="Seed of all that is random.")] = 0,
     jobs: Jobs = 1,
@@ -46,6 +53,9 @@ def train_variants(
     nice: Annotated[int, typer.Option("--nice", min=0, max=19, help="Lower the priority by this much.")] = 0,
     state: Annotated[Path | None, typer.Option("--state", help="Folder of unfinished runs.")] = None,
     output: Annotated[Path | None, typer.Option("--output", help="Folder for finished policies.")] = None,
+    record_replay: Annotated[
+        bool, typer.Option("--record-replay", help="Publish the run's transitions as the tier replay.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Train an expert for each variant, from its base robot's agent; bases from scratch.
@@ -81,8 +91,25 @@ def train_variants(
         raise typer.Exit(1)
 
 
-def _train_one(variant: Variant, plan: Plan, quiet: bool) -> Trained:
-    from imujoco_minari.training.sweep import train
+def _record(chosen: list[Variant], plan: Plan, as_json: bool) -> None:
+    from dataclasses import replace
+
+    from imujoco_minari.training.replay import record_replay
+    from imujoco_minari.training.sweep import task
+
+    outcomes = []
+    for variant in chosen:
+        # All of the run is wanted, not the shortest way to a target.
+        whole = replace(task(variant, plan), target=float("inf"))
+        outcomes.append(record_replay(whole, plan.state / f"{variant}-replay", on_interval=_teller(as_json)))
+        if not as_json:
+            report(outcomes[-1], quiet=False)
+    if as_json:
+        print_json([vars(outcome) for outcome in outcomes])
+
+
+def _teller(quiet: bool) -> Callable[[Progress], None]:
+    """Return what prints a line after each evaluation."""
 
     def tell(state: Progress) -> None:
         last = state.evaluations[-1] if state.evaluations else None
@@ -93,7 +120,13 @@ def _train_one(variant: Variant, plan: Plan, quiet: bool) -> Trained:
             f"  best {state.best_score:8.1f}  {state.wall_seconds / 60:6.1f} min"
         )
 
-    outcome = train(variant, plan, tell)
+    return tell
+
+
+def _train_one(variant: Variant, plan: Plan, quiet: bool) -> Trained:
+    from imujoco_minari.training.sweep import train
+
+    outcome = train(variant, plan, _teller(quiet))
     _report(outcome, quiet)
     return outcome
 
@@ -106,9 +139,9 @@ def _report(outcome: Trained, quiet: bool) -> None:
         return
     evaluation = outcome.record["evaluation"]
     out.print(
-        f"trained {outcome.variant}: return {evaluation['return_mean']:.1f} ± {evaluation['return_std']:.1f} over "
-        f"{evaluation['episodes']} episodes, after {outcome.record['steps']:,} steps from {outcome.record['start']}, "
-        f"{outcome.record['wall_seconds'] / 60:.1f} min"
+        f"trained {outcome.variant}: return {evaluation['return_mean']:.1f} ± {evaluation['return_std']:.1f} "
+        f"over {evaluation['episodes']} episodes, after {outcome.record['steps']:,} steps from "
+        f"{outcome.record['start']}, {outcome.record['wall_seconds'] / 60:.1f} min"
     )
 
 
@@ -158,5 +191,3 @@ def _row(variant: Variant, record: dict[str, Any]) -> list[str]:
         share,
         f"{evaluation['length_mean']:.0f}",
     ]
-
-

@@ -99,7 +99,9 @@ def save_arrays(path: Path, arrays: dict[str, Array]) -> None:
     """Write arrays as safetensors, so that at every moment ``path`` holds the old ones or the new."""
     partial = path.with_name(f".{path.name}.partial")
     # ascontiguousarray makes a vector of a scalar.
-    save_file({name: np.ascontiguousarray(array).reshape(array.shape) for name, array in arrays.items()}, partial)
+    save_file(
+        {name: np.ascontiguousarray(array).reshape(array.shape) for name, array in arrays.items()}, partial
+    )
     partial.replace(path)
 
 

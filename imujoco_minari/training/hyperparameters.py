@@ -63,9 +63,7 @@ def hyperparameters(robot: str, start: str, **changes: Any) -> Hyperparameters:
     table = _table()
     own = table.get(robot, {})
     layers = (table["all"], table[start], own, own.get(start, {}), changes)
-    values = {
-        key: value for layer in layers for key, value in layer.items() if key not in (SCRATCH, WARM)
-    }
+    values = {key: value for layer in layers for key, value in layer.items() if key not in (SCRATCH, WARM)}
     known = {field.name for field in fields(Hyperparameters)}
     unknown = sorted(set(values) - known)
     if unknown:

@@ -19,8 +19,8 @@ import gymnasium as gym
 import numpy as np
 
 from imujoco_minari.policies import Array
-from imujoco_minari.registration import make
 from imujoco_minari.references import random_evaluation
+from imujoco_minari.registration import make
 from imujoco_minari.rollouts import Evaluation, episode_seed, evaluate
 from imujoco_minari.training.agents import (
     actor_arrays,
@@ -122,7 +122,7 @@ class Run:
         self._env = SeededResets(wrap(make(task.variant, disable_env_checker=True)), task.seed)
         self._judge = make(task.variant, disable_env_checker=True)
         self._agent = make_agent(self._env, task.settings, task.seed)
-        self._checkpoint_file = folder / "checkpoint.safetensors"
+        self._checkpoint_file = folder / _CHECKPOINT
         if self._checkpoint_file.is_file():
             self._resume()
         elif task.agent:
@@ -155,7 +155,7 @@ class Run:
         begin = time.monotonic()
         settings, agent, progress = self.task.settings, self._agent, self.progress
         # Stable-Baselines3 draws replay samples from NumPy's global generator.
-        np.random.seed(episode_seed(self.task.seed, 1_000_000 + progress.intervals))  # noqa: NPY002
+        np.random.seed(episode_seed(self.task.seed, 1_000_000 + progress.intervals))
         agent.action_space.seed(episode_seed(self.task.seed, 2_000_000 + progress.intervals))
         exploring = progress.steps < settings.exploration_steps
         agent.learning_starts = settings.exploration_steps if self.task.start == SCRATCH else 0
@@ -246,7 +246,14 @@ class Run:
         }
 
 
+_CHECKPOINT = "checkpoint.safetensors"
 _BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+
+
+def load_progress(folder: Path) -> Progress:
+    """Return where the run in a state folder stands, as of its last checkpoint."""
+    arrays = load_arrays(folder / _CHECKPOINT)
+    return Progress(**json.loads(arrays["progress"].tobytes()))
 
 
 def _below(prefix: str, arrays: dict[str, Array]) -> dict[str, Array]:
@@ -258,4 +265,3 @@ def write_json(path: Path, value: Any) -> None:
     partial = path.with_name(f".{path.name}.partial")
     partial.write_text(json.dumps(value, indent=1) + "\n", "utf-8")
     partial.replace(path)
-

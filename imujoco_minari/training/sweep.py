@@ -21,7 +21,8 @@ from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies import expert_agent, expert_record, policies_folder
 from imujoco_minari.training.agents import load_arrays, save_arrays
 from imujoco_minari.training.hyperparameters import SCRATCH, WARM, hyperparameters
-from imujoco_minari.training.run import Progress, Run, Task, write_json
+from imujoco_minari.training.ladder import keep_rungs, measure_ladder, rungs_of
+from imujoco_minari.training.run import Progress, Run, Task, load_progress, write_json
 from imujoco_minari.variants import BASE, Variant
 
 # A variant's run ends when its actor is as good as this share of the base expert's return.
@@ -77,12 +78,12 @@ def train(variant: Variant, plan: Plan, on_interval: Any = None) -> Trained:
         return Trained(variant, dict(done))
     folder = plan.state / str(variant)
     with _locked(folder):
-        run = Run(_task(variant, plan), folder)
+        run = Run(task(variant, plan), folder)
         try:
             record = run.train(on_interval)
         finally:
             run.close()
-        install(folder, record, plan.policies)
+        record = install(folder, record, plan.policies)
     return Trained(variant, record, created=True)
 
 
@@ -102,16 +103,25 @@ def train_all(
             yield Trained(group[number], error=str(outcome)) if isinstance(outcome, JobError) else outcome
 
 
-def install(folder: Path, record: dict[str, Any], policies: Path | None) -> None:
-    """Put the policy of a finished run, and its ladder if it is a base, where policies are looked for."""
+def install(folder: Path, record: dict[str, Any], policies: Path | None) -> dict[str, Any]:
+    """Put the policy of a finished run where policies are looked for, and return its completed record.
+
+    With a base go its whole agent, which its variants start from, and the rungs of its ladder.
+    """
     target = policies_folder() if policies is None else policies
     target.mkdir(parents=True, exist_ok=True)
-    name = record["variant"]
-    if Variant.parse(name).category == BASE:
-        save_arrays(target / f"{name}.agent.safetensors", load_arrays(folder / "best-agent.safetensors"))
-    save_arrays(target / f"{name}.safetensors", load_arrays(folder / "best.safetensors"))
+    variant, expert = Variant.parse(record["variant"]), record["evaluation"]["return_mean"]
+    if variant.category == BASE:
+        evaluations = load_progress(folder).evaluations
+        rungs = keep_rungs(folder / "ladder", evaluations, expert, variant, target)
+        save_arrays(target / f"{variant}.agent.safetensors", load_arrays(folder / "best-agent.safetensors"))
+    else:
+        rungs = rungs_of(variant.base, policies)
+    record = record | {"ladder": measure_ladder(variant, expert, rungs, target)}
+    save_arrays(target / f"{variant}.safetensors", load_arrays(folder / "best.safetensors"))
     # The record comes last: it says that the policy is there.
-    write_json(target / f"{name}.json", record)
+    write_json(target / f"{variant}.json", record)
+    return record
 
 
 def _attempt(variant: Variant, plan: Plan, owner: int | None = None) -> Trained:
@@ -129,7 +139,12 @@ def _attempt(variant: Variant, plan: Plan, owner: int | None = None) -> Trained:
         return Trained(variant, error=str(error))
 
 
-def _task(variant: Variant, plan: Plan) -> Task:
+def task(variant: Variant, plan: Plan) -> Task:
+    """Return what the plan makes of a variant: start, target and hyperparameters.
+
+    Raises:
+        PolicyNotFoundError: when the agent to start from is not there.
+    """
     if plan.scratch or variant.category == BASE:
         settings = hyperparameters(variant.robot, SCRATCH, **plan.changes)
         return Task(variant, settings, plan.seed, target=float("inf") if plan.target is None else plan.target)

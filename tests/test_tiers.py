@@ -1,0 +1,97 @@
+"""Tiers are made by the policies that their records name, in equal parts, and say so on every episode."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import minari
+import numpy as np
+import pytest
+from safetensors.numpy import save_file
+from test_policies import random_actor
+
+from imujoco_minari.errors import DatasetError, PolicyNotFoundError
+from imujoco_minari.policies import Actor, policies_folder
+from imujoco_minari.publishing import publish
+from imujoco_minari.tiers import parts
+from imujoco_minari.variants import Variant
+from imujoco_minari.verification import verify
+
+VARIANT = Variant.parse("hopper-massinc_37_torsogeom")
+RUNGS = {100: 50.0, 200: 450.0, 300: 370.0, 400: 620.0, 500: 880.0, 600: 1200.0}
+
+
+def scaled(factor: float) -> Actor:
+    actor = random_actor()
+    return Actor({name: (array * factor).astype(np.float32) for name, array in actor.weights.items()})
+
+
+@pytest.fixture(autouse=True)
+def trained(home: Path) -> None:
+    """An expert that is said to make 1000, and a ladder of rungs, one of them above it."""
+    folder = policies_folder()
+    folder.mkdir(parents=True)
+    save_file(dict(scaled(1.0).weights), folder / f"{VARIANT}.safetensors")
+    ladder = []
+    for steps, value in RUNGS.items():
+        save_file(dict(scaled(1 + steps / 1000).weights), folder / f"hopper-base.rung-{steps}.safetensors")
+        ladder.append({"steps": steps, "evaluation": {"return_mean": value}})
+    evaluation = {"return_mean": 1000.0, "episodes": 100}
+    record = {"algorithm": "TQC", "evaluation": evaluation, "random": {"return_mean": 20.0, "episodes": 100}, "ladder": ladder}
+    (folder / f"{VARIANT}.json").write_text(json.dumps(record))
+
+
+def made(tier: str, episodes: int) -> list[tuple[str, int, dict[str, object]]]:
+    found = parts(VARIANT, tier, episodes, path=None, stochastic=False)
+    return [(part.policy.sha256, part.episodes, dict(part.attributes)) for part in found]
+
+
+def rung(steps: int) -> str:
+    return scaled(1 + steps / 1000).sha256
+
+
+def test_medium_is_the_rung_nearest_to_its_share_of_the_experts_return() -> None:
+    assert made("medium", 7) == [(rung(200), 7, {"rung": 200})]
+
+
+def test_medium_expert_is_half_and_half() -> None:
+    assert made("medium-expert", 10) == [
+        (rung(200), 5, {"rung": 200, "part": "medium"}),
+        (scaled(1.0).sha256, 5, {"part": "expert"}),
+    ]
+    with pytest.raises(DatasetError, match="2 equal parts, and 7 episodes are not"):
+        made("medium-expert", 7)
+
+
+def test_ranked_is_of_five_policies_best_first_none_above_the_expert() -> None:
+    sets = made("ranked", 10)
+    assert [(sha, count) for sha, count, _ in sets] == [
+        (sha, 2) for sha in (scaled(1.0).sha256, rung(500), rung(400), rung(300), rung(100))
+    ]
+    assert [attributes["rank"] for *_, attributes in sets] == [0, 1, 2, 3, 4]
+    returns = [attributes["policy_return"] for *_, attributes in sets]
+    assert returns == sorted(returns, reverse=True)
+    assert returns[0] == 1000.0
+    assert 1200.0 not in returns
+
+
+def test_a_ranked_dataset_is_sound_and_carries_rank_and_return_and_the_same_with_two_jobs() -> None:
+    outcome = publish(VARIANT, tier="ranked", episodes=10)
+    dataset = minari.load_dataset(outcome.dataset_id)
+    attributes = list(dataset.storage.get_episode_metadata(range(10)))
+    assert [int(attrs["rank"]) for attrs in attributes] == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4]
+    assert len({int(attrs["seed"]) for attrs in attributes}) == 10
+    assert {attrs["tier"] for attrs in attributes} == {"ranked"}
+    assert verify(outcome.dataset_id) == []
+    again = publish(VARIANT, tier="ranked", episodes=10, jobs=2, force=True)
+    assert again.content_sha256 == outcome.content_sha256
+
+
+def test_a_tier_that_cannot_be_made_says_what_can() -> None:
+    with pytest.raises(PolicyNotFoundError, match=r"'medum' \(did you mean 'medium'\?\); valid: expert, medium, random"):
+        made("medum", 1)
+    with pytest.raises(PolicyNotFoundError, match="--record-replay"):
+        made("replay", 1)
+    with pytest.raises(PolicyNotFoundError, match="no ladder of policies for walker2d-massinc_7_leggeom"):
+        parts(Variant.parse("walker2d-massinc_7_leggeom"), "medium", 1, path=None, stochastic=False)
