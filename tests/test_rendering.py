@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -42,13 +43,16 @@ ONE_A_KIND = [
 ]
 
 
-@pytest.fixture(scope="session")
-def opengl() -> str:
+@pytest.fixture(scope="module")
+def opengl() -> Iterator[str]:
     """The backend, or a skip where this machine has none."""
-    try:
-        return gl.backend()
-    except RenderingError as error:
-        pytest.skip(str(error))
+    with pytest.MonkeyPatch.context() as patch:
+        # Set first, so that what the choice writes does not outlive these tests.
+        patch.setenv("MUJOCO_GL", os.environ.get("MUJOCO_GL", ""))
+        try:
+            yield gl.backend()
+        except RenderingError as error:
+            pytest.skip(str(error))
 
 
 def moved(variant: Variant, seconds: float | None = None) -> Motion:
@@ -327,11 +331,13 @@ def test_a_missing_video_writer_is_named_with_its_remedy(monkeypatch: pytest.Mon
 
 
 @pytest.fixture
-def untried(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
+def untried(monkeypatch: pytest.MonkeyPatch) -> Iterator[pytest.MonkeyPatch]:
     """The choice of a backend as a new process makes it."""
     gl.backend.cache_clear()
     for name in ("MUJOCO_GL", "PYOPENGL_PLATFORM"):
-        monkeypatch.delenv(name, raising=False)
+        # Set first, so that what the choice writes is undone as well.
+        monkeypatch.setenv(name, "")
+        monkeypatch.delenv(name)
     monkeypatch.setattr(sys, "platform", "linux")
     yield monkeypatch
     gl.backend.cache_clear()
