@@ -72,6 +72,10 @@ def train_variants(
     chosen = select(variants or [], robot, category, everything)
     changes: dict[str, Any] = {} if max_steps is None else {"max_steps": max_steps}
     plan = Plan(state or default_state(), output, scratch, seed, target, changes, nice)
+    if record_replay:
+        os.nice(nice)
+        _record(chosen, plan, as_json)
+        return
     if len(chosen) == 1 and backend is None:
         os.nice(nice)
         outcomes = [_train_one(chosen[0], plan, as_json)]
