@@ -265,7 +265,7 @@ def test_what_has_changed_or_is_gone_is_drawn_again(
     assert build(folder, [LEG]).drawn == 1
     clips.portrait_file(folder, LEG.base).unlink()
     assert build(folder, [LEG]).drawn == 1
-    monkeypatch.setattr(clips, "STYLE", 2)
+    monkeypatch.setattr(clips, "STYLE", 0)
     assert build(folder, [LEG]).drawn == 2
 
 
@@ -362,7 +362,7 @@ def test_clips_and_portraits_are_drawn_and_small(tmp_path: Path, monkeypatch: py
     clip = clips.clip_file(folder, LEG)
     frames, seconds = imageio_ffmpeg.count_frames_and_secs(str(clip))
     assert frames >= 20
-    # It fell within a moment and then lies for a second.
+    # The episode ends within a moment, and its end stands for a second.
     assert 1.0 < seconds < 3.0
     assert clip.stat().st_size < 100_000
     assert 500 < clips.portrait_file(folder, LEG).stat().st_size < 20_000

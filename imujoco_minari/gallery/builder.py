@@ -22,7 +22,7 @@ from imujoco_minari.variants import Variant, bases, catalogue
 from imujoco_minari.whole_files import write_text
 
 STATE = "gallery.json"
-FORMAT = 1
+FORMAT = 2
 ASSETS = ("style.css", "gallery.js")
 
 

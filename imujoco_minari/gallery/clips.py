@@ -29,10 +29,10 @@ from imujoco_minari.variants import EXPERT, Variant, catalogue
 
 SIZE = (320, 240)
 SECONDS, FRAMES_PER_SECOND, QUALITY = 4.0, 20.0, 30
-# A robot that falls at once would flicker in a loop; it lies for a second.
+# An episode that ends at once would flicker in a loop; its end stands for a second.
 REST_SECONDS = 1.0
 # Goes up when pictures of the same variant come to look different.
-STYLE = 1
+STYLE = 2
 
 
 class ClipMaker:

@@ -54,13 +54,13 @@ class Clip:
         tier: which policy moves the robot.
         seconds: how long it moves.
         total: return of what is shown.
-        fell: whether the robot fell, which ended the episode.
+        ended: whether the episode ended there, as the robot left its healthy range.
     """
 
     tier: str
     seconds: float
     total: float
-    fell: bool
+    ended: bool
 
 
 @dataclass(frozen=True)

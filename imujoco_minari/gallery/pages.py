@@ -143,7 +143,11 @@ def short(variant: Variant) -> str:
 def _figure(entry: Entry, label: str) -> str:
     variant, clip = entry.variant, entry.clip
     moved_by = "its expert policy" if clip.tier == EXPERT else "random actions"
-    ending = f"falls after {clip.seconds:.2f} s" if clip.fell else f"the first {clip.seconds:.0f} s"
+    ending = (
+        f"it leaves its healthy range after {clip.seconds:.2f} s, which ends the episode"
+        if clip.ended
+        else f"the first {clip.seconds:.0f} s"
+    )
     missing = "" if clip.tier == EXPERT else " No expert policy is there for it yet."
     words = f"Moved by {moved_by}: {ending}, return {_number(clip.total)}.{missing}"
     return (

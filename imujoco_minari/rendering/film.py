@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import repeat
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
@@ -56,7 +57,7 @@ def frames(
     captions: bool = True,
     on_frame: Callable[[], None] | None = None,
 ) -> Iterator[Image.Image]:
-    """Yield a picture of all motions side by side for each step number in ``steps``.
+    """Yield a picture of all motions side by side for each step number in ``steps``, which rise.
 
     A motion that is over before a step stands still, and its caption says when it ended.
     """
@@ -111,20 +112,22 @@ def _panel(
     motion: Motion, camera: Camera, studio: Studio, steps: Sequence[int], captions: bool
 ) -> Iterator[Image.Image]:
     last = len(motion.positions) - 1
-    shown = [min(step, last) for step in steps]
+    # A motion that is over is drawn once more, not once a frame.
+    moving = [step for step in steps if step < last]
+    shown = moving + [last] * (len(steps) > len(moving))
     places = Camera(camera.lookat[shown], camera.distance)
     earned = np.concatenate([[0.0], np.cumsum(motion.rewards)])
     shots = studio.shoot(motion.variant, [motion.positions[step] for step in shown], places)
-    for step, at, shot in zip(steps, shown, shots, strict=True):
+    for step, shot in zip(shown, shots, strict=True):
         picture = Image.fromarray(np.ascontiguousarray(shot))
-        over = step >= last and motion.terminated
+        over = step == last and motion.terminated
         if over:
             picture = Image.blend(picture, Image.new("RGB", picture.size, PAPER), 0.35)
         if captions:
-            time = at * motion.timestep
-            state = f"{'fell at' if over else 't ='} {time:.2f} s    return {earned[at]:.0f}"
+            time = step * motion.timestep
+            state = f"{'ended at' if over else 't ='} {time:.2f} s    return {earned[step]:.0f}"
             picture = captioned(picture, motion.variant, motion.title, state)
-        yield picture
+        yield from repeat(picture, len(steps) - len(moving) if step == last else 1)
 
 
 def captioned(picture: Image.Image, variant: Variant, title: str = "", state: str = "") -> Image.Image:

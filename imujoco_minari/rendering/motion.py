@@ -33,7 +33,7 @@ class Motion:
         positions: generalised positions, of shape (steps + 1, nq).
         rewards: of shape (steps,).
         timestep: seconds an environment step takes.
-        terminated: whether the robot fell, rather than that time ran out.
+        terminated: whether the robot left its healthy range, rather than that time ran out.
         title: what made it move, in a few words.
         divergence: of a replay, the largest difference from a recorded observation; 0 when exact.
     """
