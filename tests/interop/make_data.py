@@ -9,6 +9,11 @@ import os
 import sys
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from actor_datasets import publish_actors
+from doc_blocks import REPOSITORY, read_page
+
 # Episodes that terminate (random Hoppers fall), and episodes that are truncated (HalfCheetahs cannot).
 DATASETS = {
     "imujoco/hopper-base-random-v0": 6,
@@ -31,6 +36,8 @@ def main(folder: Path) -> None:
     for dataset_id, episodes in DATASETS.items():
         variant, tier = parse_dataset_id(dataset_id)
         publish(variant, tier=tier, episodes=episodes)
+    for page in (REPOSITORY / "docs" / "doors").glob("*.md"):
+        publish_actors(read_page(page).has, folder / "root")
     for name, ids in EXPORTS.items():
         for format in FORMATS:
             export(ids, format, folder / f"{name}-{format}", force=True)

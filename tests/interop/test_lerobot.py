@@ -5,20 +5,9 @@ import pytest
 
 pytest.importorskip("lerobot")
 
+from cpu_torchvision import import_torchvision
 
-def _import_torchvision():
-    """Import torchvision beside a torch without CUDA, where its compiled operators do not load."""
-    import torch
-
-    register = torch.library.register_fake
-    torch.library.register_fake = lambda *args, **kwargs: lambda function: function
-    try:
-        import torchvision  # noqa: F401
-    finally:
-        torch.library.register_fake = register
-
-
-_import_torchvision()
+import_torchvision()
 
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
