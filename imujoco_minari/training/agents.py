@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from safetensors.numpy import load_file, save_file
+from safetensors.numpy import load_file, save
 
 from imujoco_minari.errors import PolicyError, missing_dependency
 from imujoco_minari.policies import Actor, Array, policies_folder
@@ -98,9 +98,9 @@ def restore_agent(agent: Any, arrays: dict[str, Array]) -> None:
 def save_arrays(path: Path, arrays: dict[str, Array]) -> None:
     """Write arrays as safetensors, so that at every moment ``path`` holds the old ones or the new."""
     partial = path.with_name(f".{path.name}.partial")
-    # ascontiguousarray makes a vector of a scalar.
-    save_file(
-        {name: np.ascontiguousarray(array).reshape(array.shape) for name, array in arrays.items()}, partial
+    # ascontiguousarray makes a vector of a scalar, and save_file a file that others cannot read.
+    partial.write_bytes(
+        save({name: np.ascontiguousarray(array).reshape(array.shape) for name, array in arrays.items()})
     )
     partial.replace(path)
 

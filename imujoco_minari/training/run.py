@@ -50,6 +50,7 @@ class Task:
         seed: of all that is random.
         start: name of the agent that the run starts from, ``scratch`` or a base robot.
         agent: its arrays; empty from scratch.
+        start_sha256: digest of that agent's actor, as its own record has it.
         target: return (mean less standard deviation, over the choosing episodes) at which to stop.
     """
 
@@ -58,6 +59,7 @@ class Task:
     seed: int = 0
     start: str = SCRATCH
     agent: dict[str, Array] = field(default_factory=dict, repr=False)
+    start_sha256: str = ""
     target: float = float("inf")
 
 
@@ -233,6 +235,7 @@ class Run:
             "algorithm": task.settings.algorithm,
             "library": f"sbx-rl {version('sbx-rl')}",
             "start": task.start,
+            "start_sha256": task.start_sha256,
             "steps": progress.best_steps,
             "steps_trained": progress.steps,
             "updates": progress.updates,

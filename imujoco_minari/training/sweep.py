@@ -164,6 +164,7 @@ def task(variant: Variant, plan: Plan) -> Task:
         plan.seed,
         start=str(variant.base),
         agent=load_arrays(agent),
+        start_sha256=record["weights_sha256"],
         target=target if plan.target is None else plan.target,
     )
 
