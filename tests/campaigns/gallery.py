@@ -12,7 +12,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -39,6 +39,11 @@ class Quiet(SimpleHTTPRequestHandler):
     def log_message(self, format: str, *args: Any) -> None:
         pass
 
+    def copyfile(self, source: Any, outputfile: Any) -> None:
+        # A browser that has seen enough of a clip hangs up.
+        with suppress(BrokenPipeError, ConnectionResetError):
+            super().copyfile(source, outputfile)
+
 
 @contextmanager
 def server(folder: Path) -> Iterator[str]:
@@ -61,7 +66,13 @@ def visit(browser: Browser, root: str, **options: Any) -> tuple[Page, list[str]]
             wrong.append(f"request to {request.url}")
 
     page.on("request", on_request)
-    page.on("requestfailed", lambda request: wrong.append(f"failed: {request.url} {request.failure}"))
+
+    def on_failure(request: Any) -> None:
+        # A visitor who goes on before all has arrived cancels the rest.
+        if request.failure != "net::ERR_ABORTED":
+            wrong.append(f"failed: {request.url} {request.failure}")
+
+    page.on("requestfailed", on_failure)
     page.on("console", lambda message: message.type == "error" and wrong.append(message.text))
     page.on("pageerror", lambda error: wrong.append(str(error)))
     return page, wrong
