@@ -11,7 +11,7 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -59,17 +59,20 @@ def key(
         scaled = normalize
     parts = {
         "format": _FORMAT,
-        "sources": [[_digest(source.file), source.episodes] for source in sources],
-        "where": {
-            name: wanted if isinstance(wanted, str | int) else sorted(wanted)
-            for name, wanted in where.items()
-        },
-        "portion": portion,
+        # The id too: variants that do not differ in effect have the same arrays and another table.
+        "sources": [[source.dataset_id, _digest(source.file), source.episodes] for source in sources],
+        "where": {name: _words(wanted) for name, wanted in where.items()},
+        "portion": [float(bound) for bound in portion],
         "seed": seed if portion != (0, 1) else None,
         "dtype": dtype and np.dtype(dtype).str,
         "normalize": scaled,
     }
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+def _words(wanted: Any) -> list[str]:
+    several = isinstance(wanted, Collection) and not isinstance(wanted, str)
+    return sorted(map(str, wanted)) if several else [str(wanted)]
 
 
 def _digest(file: Path) -> list[Any]:

@@ -15,6 +15,7 @@ from imujoco_minari import array_cache, roots, selection
 from imujoco_minari.arrays import STEP_ARRAYS, Arrays, arrays, measure
 from imujoco_minari.combining import combine_datasets
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError, StorageError, VariantError
+from imujoco_minari.publishing import publish
 
 HOPPER, LEGS, FEET = (
     "imujoco/hopper-base-random-v0",
@@ -216,12 +217,21 @@ def test_whatever_changes_the_result_has_an_entry_of_its_own(small_datasets: lis
         {"portion": (0.0, 0.5)},
         {"portion": (0.0, 0.5), "seed": 1},
         {"where": {"tier": "random"}},
+        {"where": {"percent": np.arange(1)}},
         {"normalize": True},
         {"normalize": measure(np.arange(22.0).reshape(2, 11))},
     ]
     for option in options:
         assert_same(arrays(HOPPER, cache=True, **option), arrays(HOPPER, **option))
     assert len(list(array_cache.cache_folder().iterdir())) == len(options)
+
+
+def test_datasets_of_equal_content_keep_their_own_table(small_datasets: list[str]) -> None:
+    identity = "imujoco/hopper-massinc_0_leggeom-random-v0"
+    publish("hopper-massinc_0_leggeom", tier="random", episodes=8)
+    before, after = arrays(HOPPER, cache=True), arrays(identity, cache=True)
+    np.testing.assert_array_equal(before.observations, after.observations)
+    assert [data.table[0].variant for data in (before, after)] == ["hopper-base", "hopper-massinc_0_leggeom"]
 
 
 def test_a_dataset_without_a_digest_is_known_by_its_file(small_datasets: list[str]) -> None:
