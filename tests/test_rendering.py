@@ -9,13 +9,15 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from PIL import Image
 
-from imujoco_minari import publish
+from imujoco_minari import combine_datasets, publish
 from imujoco_minari.cli.app import run
 from imujoco_minari.errors import (
+    DatasetError,
     DatasetNotFoundError,
     DependencyError,
     PolicyNotFoundError,
@@ -29,8 +31,9 @@ from imujoco_minari.rendering import frame_steps, gl, render_motions
 from imujoco_minari.rendering.files import write_picture, write_video
 from imujoco_minari.rendering.film import caption_height, change, contact_sheet, grid, pace, sheet_steps
 from imujoco_minari.rendering.framing import FILL, Capsules, axes, capsules, follow
-from imujoco_minari.rendering.motion import Motion, perform, replay, timestep
+from imujoco_minari.rendering.motion import Motion, perform, timestep
 from imujoco_minari.rendering.portraits import portraits, stance
+from imujoco_minari.rendering.recorded import replay
 from imujoco_minari.rendering.scene import COLOURS, NEAR, scene_model
 from imujoco_minari.rendering.source import of_dataset, of_variant
 from imujoco_minari.variants import Variant, bases, catalogue
@@ -87,8 +90,6 @@ def test_a_motion_is_cut_without_changing_what_is_left() -> None:
 
 def test_a_recorded_episode_is_replayed_not_played_anew() -> None:
     published = publish(HOPPER, tier="random", episodes=3, seed=5)
-    import h5py
-
     with h5py.File(published.path / "data" / "main_data.hdf5") as file:
         recorded = [
             (file[f"episode_{k}/observations"][()], file[f"episode_{k}/rewards"][()]) for k in range(3)
@@ -104,11 +105,48 @@ def test_a_recorded_episode_is_replayed_not_played_anew() -> None:
 
 def test_a_replay_that_does_not_follow_its_record_says_so() -> None:
     published = publish(HOPPER, tier="random", episodes=1)
-    import h5py
-
     with h5py.File(published.path / "data" / "main_data.hdf5", "a") as file:
         file["episode_0/observations"][2, 0] += 0.25
     assert replay(published.dataset_id).divergence == pytest.approx(0.25)
+
+
+def test_an_episode_of_a_collection_is_its_variants() -> None:
+    other = Variant.parse("hopper-lengthinc_50_footgeom")
+    ids = [publish(variant, tier="random", episodes=2).dataset_id for variant in (HOPPER, other)]
+    combine_datasets(ids, "imujoco/hopper-mine-v0")
+    motion = replay("imujoco/hopper-mine-v0", 3)
+    assert motion.variant == other
+    assert motion.divergence == 0.0
+    assert np.array_equal(motion.positions, replay(ids[1], 1).positions)
+
+
+@pytest.mark.parametrize("name", ["hopper-massdec_25_leggeom", "halfcheetah-base", "walker2d-base"])
+def test_an_episode_without_a_seed_is_shown_as_observed(name: str) -> None:
+    published = publish(name, tier="random", episodes=1)
+    replayed = replay(published.dataset_id)
+    with h5py.File(published.path / "data" / "main_data.hdf5", "a") as file:
+        file["episode_0"].attrs["replayable"] = False
+        del file["episode_0"].attrs["seed"]
+    observed = replay(published.dataset_id)
+    assert observed.title == "random, episode 0, as observed"
+    assert observed.timestep == replayed.timestep
+    assert np.array_equal(observed.positions[:, 1:], replayed.positions[:, 1:])
+    assert np.array_equal(observed.rewards, replayed.rewards)
+    # The distance run, from the velocity at each step's end, is near enough to follow with a camera.
+    start, end = replayed.positions[[0, -1], 0]
+    assert observed.positions[-1, 0] == pytest.approx(end - start, abs=0.25 + 0.1 * abs(end - start))
+
+
+def test_an_episode_that_does_not_say_how_it_was_made_is_named() -> None:
+    published = publish(HOPPER, tier="random", episodes=1)
+    with h5py.File(published.path / "data" / "main_data.hdf5", "a") as file:
+        del file["episode_0"].attrs["seed"]
+    with pytest.raises(DatasetError, match=r"episode 0 cannot be read: .*seed"):
+        replay(published.dataset_id)
+    with h5py.File(published.path / "data" / "main_data.hdf5", "a") as file:
+        file["episode_0"].attrs["catalogue"] = "imujoco-original"
+    with pytest.raises(DatasetError, match="of the original's archive"):
+        replay(published.dataset_id)
 
 
 def test_replaying_what_is_not_there_names_it_and_the_valid_episodes() -> None:

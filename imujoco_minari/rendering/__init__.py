@@ -1,7 +1,7 @@
 """Pictures and videos of variants, drawn off-screen.
 
-:mod:`~imujoco_minari.rendering.motion` says what moves, ``framing`` where the camera stands, ``scene``
-how it looks, ``gl`` and ``studio`` draw it, ``film`` lays it out and ``files`` writes it.
+:mod:`~imujoco_minari.rendering.motion` and ``recorded`` say what moves, ``framing`` where the camera
+stands, ``scene`` how it looks, ``gl`` and ``studio`` draw it, ``film`` lays it out and ``files`` writes it.
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ from pathlib import Path
 
 from imujoco_minari.rendering.files import check_format, write_picture, write_video
 from imujoco_minari.rendering.film import FRAMES_PER_SECOND, contact_sheet, frames, pace, sheet_steps
-from imujoco_minari.rendering.motion import Motion, perform, replay
+from imujoco_minari.rendering.motion import Motion, perform
+from imujoco_minari.rendering.recorded import replay
 from imujoco_minari.rendering.studio import Studio
 
 __all__ = ["Motion", "Studio", "frame_steps", "perform", "render_motions", "replay"]

@@ -1,7 +1,6 @@
-"""What is drawn: the positions a robot goes through in an episode, by a policy or out of a dataset.
+"""What is drawn: the positions that a robot goes through in an episode.
 
-An episode of a dataset is replayed: reset with its recorded seed and stepped by its recorded actions,
-as verification does. No picture ever simulates anything by itself.
+They come out of the variant's own environment; no picture simulates anything by itself.
 """
 
 from __future__ import annotations
@@ -10,12 +9,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import gymnasium as gym
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from imujoco_minari import content, roots
-from imujoco_minari.errors import DatasetError, DatasetNotFoundError
 from imujoco_minari.policies import Policy
 from imujoco_minari.registration import MAX_EPISODE_STEPS, make
 from imujoco_minari.rollouts import roll_out
@@ -115,64 +111,6 @@ def perform(
         return recorder.motion(variant, title or f"{policy.algorithm} policy")
     finally:
         recorder.close()
-
-
-def replay(dataset_id: str, episode: int = 0) -> Motion:
-    """Return a recorded episode of a dataset of this package, or of a collection of such.
-
-    Raises:
-        DatasetNotFoundError: when the root holds no such dataset, or it no such episode.
-        DatasetError: when the episode does not say how it was made.
-    """
-    variant, seed, actions, observations, tier = _recorded(dataset_id, episode)
-    recorder = PositionRecorder(make(variant))
-    try:
-        observation, _ = recorder.reset(seed=seed)
-        divergence = float(np.abs(observation - observations[0]).max())
-        for step, action in enumerate(actions):
-            observation, _, terminated, truncated, _ = recorder.step(action)
-            divergence = max(divergence, float(np.abs(observation - observations[step + 1]).max()))
-            if terminated or truncated:
-                break
-        return recorder.motion(variant, f"{tier}, episode {episode}", divergence)
-    finally:
-        recorder.close()
-
-
-def recorded_by(dataset_id: str, episode: int = 0) -> tuple[Variant, str]:
-    """Return the variant and the tier of a recorded episode.
-
-    Raises:
-        DatasetNotFoundError: when the root holds no such dataset, or it no such episode.
-        DatasetError: when the episode does not say how it was made.
-    """
-    recorded = _recorded(dataset_id, episode)
-    return recorded[0], recorded[4]
-
-
-def _recorded(dataset_id: str, episode: int) -> tuple[Variant, int, Any, Any, str]:
-    file_path = content.main_file(roots.dataset_folder(dataset_id) / "data")
-    if not file_path.is_file():
-        raise DatasetNotFoundError(
-            f"{dataset_id} is not in the Minari root, at {roots.datasets_root()}; see `minari list local`"
-        )
-    try:
-        with h5py.File(file_path, "r") as file:
-            count = len(file)
-            if not 0 <= episode < count:
-                raise DatasetNotFoundError(f"{dataset_id} has no episode {episode}; valid: 0 to {count - 1}")
-            group = file[f"episode_{episode}"]
-            return (
-                Variant.parse(str(group.attrs["variant"])),
-                int(group.attrs["seed"]),
-                group["actions"][()],
-                group["observations"][()],
-                str(group.attrs.get("tier", "")),
-            )
-    except (OSError, KeyError) as error:
-        if isinstance(error, DatasetNotFoundError):
-            raise
-        raise DatasetError(f"{dataset_id}: episode {episode} cannot be replayed: {error}") from None
 
 
 def _steps(variant: Variant, seconds: float | None) -> int:

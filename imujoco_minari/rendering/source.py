@@ -7,7 +7,8 @@ from pathlib import Path
 from imujoco_minari import roots
 from imujoco_minari.errors import PolicyNotFoundError, RenderingError
 from imujoco_minari.policies import load_policy
-from imujoco_minari.rendering.motion import Motion, perform, recorded_by, replay
+from imujoco_minari.rendering.motion import Motion, perform
+from imujoco_minari.rendering.recorded import read_recorded, replay
 from imujoco_minari.variants import Variant
 
 
@@ -50,8 +51,9 @@ def of_dataset(
         DatasetNotFoundError: when there is no such dataset or episode.
         RenderingError: when nothing of that tier can move the base robot.
     """
-    motions = [replay(dataset_id, episode).until(seconds)]
-    variant, tier = recorded_by(dataset_id, episode)
+    recorded = read_recorded(dataset_id, episode)
+    motions = [recorded.motion().until(seconds)]
+    variant, tier = recorded.variant, recorded.tier
     if not beside_base or variant == variant.base:
         return motions
     base = variant.base.dataset_id(tier)
