@@ -17,6 +17,7 @@ import numpy as np
 from imujoco_minari.content import MAIN_FILE
 from imujoco_minari.differences import differences
 from imujoco_minari.errors import VariantError
+from imujoco_minari.tiers import RANDOM, REPLAY, TIERS
 from imujoco_minari.variants import EXPERT, Variant, parse_dataset_id
 
 ORIGINAL = "https://zenodo.org/records/7971395"
@@ -183,7 +184,9 @@ def _command(metadata: Mapping[str, Any]) -> str:
     except VariantError:
         sources = metadata.get("combined_datasets")
         return f"imujoco combine {' '.join(sources)} --id {metadata['dataset_id']}" if sources else ""
-    if tier not in (EXPERT, "random"):
+    if tier == REPLAY:
+        return f"imujoco train {variant} --record-replay"
+    if tier not in TIERS:
         return ""
     return _publish_command(variant, tier, metadata)
 
@@ -194,7 +197,7 @@ def _publish_command(variant: Variant, tier: str, metadata: Mapping[str, Any]) -
     )
     if tier != EXPERT:
         command += f" --tier {tier}"
-    elif not metadata.get("policy_deterministic", True):
+    if tier != RANDOM and not metadata.get("policy_deterministic", True):
         command += " --stochastic"
     return command
 
