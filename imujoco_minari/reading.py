@@ -83,26 +83,27 @@ class EpisodeFile:
         group, descriptor = self._group(episode)
         for name, out in targets.items():
             stored = self._array(group, name, episode)
+            if self._fetch(stored, descriptor, out):
+                continue
             if stored.shape != out.shape:
                 raise DatasetError(
                     f"{self.name}: episode {episode}: {name} are of shape {stored.shape}, not {out.shape}"
                 )
             try:
-                self._fetch(stored, descriptor, out)
+                stored.read(h5py.h5s.ALL, h5py.h5s.ALL, out, self._type(out.dtype))
             except (OSError, TypeError) as error:
                 raise DatasetError(
                     f"{self.name}: episode {episode}: {name} cannot be read as {out.dtype}: {error}"
                 ) from None
 
-    def _fetch(self, stored: h5py.h5d.DatasetID, descriptor: int, out: Array) -> None:
-        kind = self._type(out.dtype)
+    def _fetch(self, stored: h5py.h5d.DatasetID, descriptor: int, out: Array) -> bool:
+        """Read an array that lies in one piece and as NumPy holds it, without setting HDF5 in motion."""
         offset = stored.get_offset()
-        if offset is None or not kind.equal(stored.get_type()):
-            stored.read(h5py.h5s.ALL, h5py.h5s.ALL, out, kind)
-            return
-        # In one piece and as NumPy holds it: no need to set HDF5's machinery in motion.
-        if os.preadv(descriptor, [out.data], offset) != out.nbytes:
-            raise OSError("the file ends before its arrays do")
+        if offset is None or stored.get_storage_size() != out.nbytes:
+            return False
+        if not self._type(out.dtype).equal(stored.get_type()):
+            return False
+        return os.preadv(descriptor, [out.data], offset) == out.nbytes
 
     def _type(self, dtype: np.dtype[Any]) -> h5py.h5t.TypeID:
         if dtype not in self._types:
