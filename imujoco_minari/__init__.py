@@ -15,19 +15,25 @@ from imujoco_minari.variants import Variant, bases, catalogue
 
 if TYPE_CHECKING:
     from imujoco_minari.combining import combine_datasets
+    from imujoco_minari.exporting import export
     from imujoco_minari.mjcf import canonical_mjcf
     from imujoco_minari.policies import load_policy
     from imujoco_minari.publishing import publish
+    from imujoco_minari.sampling import Sampler
+    from imujoco_minari.splits import held_out
     from imujoco_minari.verification import verify
 
 __version__: str
 __all__ = [
     "ImujocoError",
+    "Sampler",
     "Variant",
     "bases",
     "canonical_mjcf",
     "catalogue",
     "combine_datasets",
+    "export",
+    "held_out",
     "load_policy",
     "make",
     "publish",
@@ -36,8 +42,11 @@ __all__ = [
 ]
 
 _LAZY = {
+    "Sampler": "sampling",
     "canonical_mjcf": "mjcf",
     "combine_datasets": "combining",
+    "export": "exporting",
+    "held_out": "splits",
     "load_policy": "policies",
     "publish": "publishing",
     "verify": "verification",
