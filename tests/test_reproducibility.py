@@ -1,0 +1,51 @@
+"""The same variant, policy, seed and versions give the same content, however the work is shared out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from safetensors.numpy import save_file
+
+from imujoco_minari.policies import SIZES
+from imujoco_minari.publishing import Recipe, publish, publish_all
+from imujoco_minari.variants import Variant
+
+
+@pytest.fixture
+def policy(tmp_path: Path) -> Path:
+    """A SAC actor of random weights."""
+    rng = np.random.default_rng(0)
+    observations, actions = SIZES["hopper"]
+    layers = {
+        "latent_pi.0": (256, observations),
+        "latent_pi.2": (256, 256),
+        "mu": (actions, 256),
+        "log_std": (actions, 256),
+    }
+    weights = {}
+    for name, (outputs, inputs) in layers.items():
+        weights[f"{name}.weight"] = (rng.standard_normal((outputs, inputs)) / 16).astype(np.float32)
+        weights[f"{name}.bias"] = np.zeros(outputs, np.float32)
+    save_file(weights, tmp_path / "actor.safetensors")
+    return tmp_path / "actor.safetensors"
+
+
+@pytest.mark.parametrize("stochastic", [False, True])
+def test_jobs_do_not_matter_nor_does_time(policy: Path, stochastic: bool) -> None:
+    recipe = Recipe(
+        Variant.parse("hopper-massdec_25_leggeom"), "mine", 9, seed=3, policy=policy, stochastic=stochastic
+    )
+    digests = [publish(recipe, jobs=jobs, force=True).content_sha256 for jobs in (1, 2, 1, 2)]
+    assert len(set(digests)) == 1
+    assert publish(Recipe(recipe.variant, "mine", 9, 4, policy), force=True).content_sha256 != digests[0]
+
+
+def test_a_batch_makes_what_single_commands_make(policy: Path) -> None:
+    variants = [Variant.parse(name) for name in ("hopper-base", "hopper-frictioninc_50_feet")]
+    recipes = [Recipe(variant, "mine", 2, policy=policy) for variant in variants]
+    batch = {outcome.dataset_id: outcome for outcome in publish_all(recipes, jobs=2)}
+    assert not any(outcome.error for outcome in batch.values())
+    for recipe in recipes:
+        assert publish(recipe, force=True).content_sha256 == batch[recipe.dataset_id].content_sha256
