@@ -314,11 +314,19 @@ def read_actor(path: Path, *, deterministic: bool = True, algorithm: str = "SAC"
         raise PolicyError(f"{path} has {path.stat().st_size} bytes; the limit is {MAX_POLICY_FILE}")
     if path.suffix == ".safetensors":
         return _actor_of(path.read_bytes(), str(path), algorithm, deterministic, {})
-    if not zipfile.is_zipfile(path):
+    if not _is_zip(path):
         raise PolicyError(
             f"{path} is no policy; valid: a Stable-Baselines3 SAC .zip, or an actor's .safetensors"
         )
     return _read_zip(path, deterministic)
+
+
+def _is_zip(path: Path) -> bool:
+    try:
+        return zipfile.is_zipfile(path)
+    except zipfile.BadZipFile:
+        # Raised of some that nearly are.
+        return False
 
 
 def _actor_of(
