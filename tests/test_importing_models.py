@@ -107,6 +107,8 @@ def test_the_canonical_text_is_a_fixed_point() -> None:
         ('width="127"', 'width="99999"', "too large"),
         ("<worldbody>", '<size memory="900G"/><worldbody>', "memory"),
         ("<worldbody>", '<replicate count="1000000"/><worldbody>', "<replicate> is refused"),
+        ('width="127"', 'width="' + "9" * 5000 + '"', "too large"),
+        ('gear="200.0"', 'gear="nan"', "is no number"),
         ('name="thigh"', 'name="knee"', "is no hopper"),
         ('joint="foot_joint"', 'joint="leg_joint"', "actuated joints"),
         ('type="capsule"', 'type="blob"', "cannot compile"),

@@ -264,9 +264,9 @@ def _opened(path: Path) -> Iterator[h5py.File]:
     try:
         with h5py.File(path, "r") as file:
             yield file
-    except (OSError, KeyError, RuntimeError) as error:
-        if isinstance(error, ImujocoError):
-            raise
+    except ImujocoError:
+        raise
+    except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:
         raise DatasetError(f"{path}: cannot be read as HDF5: {' '.join(str(error).split())[:200]}") from None
 
 

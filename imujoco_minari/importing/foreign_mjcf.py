@@ -35,6 +35,7 @@ _ELEMENTS = frozenset(
 )
 _BOUNDS = {"width": 4096, "height": 4096, "nstack": 10**7, "njmax": 10**5, "nconmax": 10**5}
 _MAX_NUMBER = 10_000
+_REFUSED = frozenset(("plugin", "content_type", "memory", "nkey", "count"))
 _POSITIONED = ("geom", "joint", "site", "camera", "light", "inertial")
 _TURNED = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
 
@@ -61,9 +62,10 @@ def canonical_foreign_mjcf(text: str, robot: str, name: str) -> str:
         spec = mjcf.bake(ET.tostring(root, encoding="unicode"))
         spec.compile()
         canonical = str(spec.to_xml())
+        model = mjcf.compile_mjcf(canonical)
     except (ValueError, KeyError) as error:
         raise ModelError(f"{name}: MuJoCo cannot compile the model: {_line(error)}") from None
-    _check_robot(mjcf.compile_mjcf(canonical), robot, name)
+    _check_robot(model, robot, name)
     return canonical
 
 
@@ -80,9 +82,9 @@ def check_text(text: str, name: str) -> ET.Element:
     try:
         root = ET.fromstring(text)
     except (ET.ParseError, ValueError) as error:
-        raise ModelError(f"{name}: not XML: {error}") from None
+        raise ModelError(f"{name}: not XML: {_line(error)}") from None
     if root.tag != "mujoco":
-        raise ModelError(f"{name}: no MJCF: the root is <{str(root.tag)[:40]}>, not <mujoco>")
+        raise ModelError(f"{name}: no MJCF: the root is <{_line(root.tag)[:40]}>, not <mujoco>")
     _check_element(root, name, 0)
     return root
 
@@ -90,21 +92,28 @@ def check_text(text: str, name: str) -> ET.Element:
 def _check_element(element: ET.Element, name: str, depth: int) -> None:
     tag = str(element.tag)
     if tag not in _ELEMENTS:
-        raise ModelError(f"{name}: <{tag[:40]}> is refused; a model of these robots has no such element")
+        raise ModelError(
+            f"{name}: <{_line(tag)[:40]}> is refused; a model of these robots has no such element"
+        )
     if depth > MAX_DEPTH:
         raise ModelError(f"{name}: elements are nested deeper than {MAX_DEPTH}")
     for key, value in element.attrib.items():
-        if (
-            "file" in key
-            or (key.endswith("dir") and key != "dir")
-            or key in ("plugin", "content_type", "memory", "nkey", "count")
-        ):
-            raise ModelError(f'{name}: {key}="{value[:60]}" in <{tag}> is refused')
-        whole = re.fullmatch(r"\s*[0-9]+\s*", value)
-        if whole and int(value) > _BOUNDS.get(key, _MAX_NUMBER):
-            raise ModelError(f'{name}: {key}="{value[:20]}" in <{tag}> is too large')
+        reason = _refusal(key, value)
+        if reason:
+            raise ModelError(f'{name}: {key}="{_line(value)[:60]}" in <{tag}> {reason}')
     for child in element:
         _check_element(child, name, depth + 1)
+
+
+def _refusal(key: str, value: str) -> str:
+    """Return why an attribute is refused; empty when it is not."""
+    if "file" in key or (key.endswith("dir") and key != "dir") or key in _REFUSED:
+        return "is refused"
+    whole = re.fullmatch(r"\s*([0-9]+)\s*", value, re.ASCII)
+    if whole and (len(whole[1]) > 9 or int(whole[1]) > _BOUNDS.get(key, _MAX_NUMBER)):
+        return "is too large"
+    # MuJoCo only warns of it, and writes the warning to a file wherever it runs.
+    return "is no number" if re.search(r"\b(?:nan|inf)", value, re.IGNORECASE) else ""
 
 
 def _localise(root: ET.Element, name: str) -> None:
@@ -189,5 +198,5 @@ def _actuated(model: Any) -> list[str]:
     ]
 
 
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split())[:200]
+def _line(text: object) -> str:
+    return " ".join(str(text).split())[:200]
