@@ -12,7 +12,7 @@ from typing import Any
 import minari
 import pytest
 
-from imujoco_minari import publish
+from imujoco_minari import policies, publish
 from imujoco_minari.cli.app import run
 from imujoco_minari.differences import differences
 from imujoco_minari.errors import DependencyError, PolicyError, RenderingError, StorageError
@@ -26,6 +26,12 @@ from imujoco_minari.variants import Variant, catalogue
 LEG = Variant.parse("hopper-massdec_25_leggeom")
 FOOT = Variant.parse("hopper-lengthinc_50_footgeom")
 VOID = {"meta", "link", "img", "input", "wbr", "source", "br"}
+
+
+@pytest.fixture(autouse=True)
+def no_experts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever experts are shipped, these tests are of a package without."""
+    monkeypatch.setattr(policies, "find_policy_file", lambda name, folder=None: None)
 
 
 @pytest.fixture

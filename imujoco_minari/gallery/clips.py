@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -21,7 +22,7 @@ from imujoco_minari.mjcf import canonical_mjcf, compile_mjcf, mjcf_sha256
 from imujoco_minari.policies import Policy, load_policy
 from imujoco_minari.rendering.files import write_picture, write_video
 from imujoco_minari.rendering.film import frames, pace
-from imujoco_minari.rendering.framing import capsules, follow
+from imujoco_minari.rendering.framing import Capsules, capsules, follow
 from imujoco_minari.rendering.motion import Motion, perform
 from imujoco_minari.rendering.portraits import stance
 from imujoco_minari.rendering.studio import Studio
@@ -104,15 +105,16 @@ class ClipMaker:
 
     def _write_portrait(self, variant: Variant, path: Path) -> None:
         # Seen with the longest of its kin, each is seen from the same distance, whatever else is drawn.
-        kin = [variant, variant.base, *catalogue(variant.robot, "length")]
-        stances = [stance(each)[None] for each in kin]
-        seen = [
-            capsules(compile_mjcf(canonical_mjcf(each)), position)
-            for each, position in zip(kin, stances, strict=True)
-        ]
+        seen = [_standing(variant), *(_standing(each) for each in catalogue(variant.robot, "length"))]
         camera = follow(seen, self.studio.aspect, 1.0)[0]
-        shot = next(self.studio.shoot(variant, stances[0], camera))
+        shot = next(self.studio.shoot(variant, [stance(variant)], camera))
         write_picture(path, Image.fromarray(np.ascontiguousarray(shot)))
+
+
+@cache
+def _standing(variant: Variant) -> Capsules:
+    """Return the capsules of a variant in its stance."""
+    return capsules(compile_mjcf(canonical_mjcf(variant)), stance(variant)[None])
 
 
 def choose_policy(variant: Variant) -> tuple[Policy, str]:
