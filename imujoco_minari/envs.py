@@ -147,7 +147,9 @@ class CollectionEnv(gym.Env[Any, Any], EzPickle):
         **kwargs: passed to each variant's environment.
     """
 
-    metadata = {"render_modes": ["human", "rgb_array", "depth_array", "rgbd_tuple"]}
+    metadata = {  # noqa: RUF012
+        "render_modes": ["human", "rgb_array", "depth_array", "rgbd_tuple"]
+    }
 
     def __init__(self, variants: Sequence[str], **kwargs: Any) -> None:
         EzPickle.__init__(self, variants, **kwargs)
@@ -202,12 +204,12 @@ class CollectionEnv(gym.Env[Any, Any], EzPickle):
 
     def render(self) -> Any:
         """Render the present variant's environment."""
-        return self._current.render()
+        return self._current.render()  # type: ignore[no-untyped-call]
 
     def close(self) -> None:
         """Close every variant's environment."""
         for environment in self._environments.values():
-            environment.close()
+            environment.close()  # type: ignore[no-untyped-call]
 
     def _environment(self, name: str) -> VariantEnv:
         if name not in self._environments:
