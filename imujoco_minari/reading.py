@@ -35,6 +35,7 @@ class EpisodeFile:
         self._stack = ExitStack()
         self._types: dict[np.dtype[Any], h5py.h5t.TypeID] = {}
         self._files: dict[Path, h5py.File] = {}
+        self._linked: dict[bytes, tuple[h5py.File, int]] = {}
         self._path = path.resolve()
         self._file = self._open(self._path)
         self._descriptor = self._file.id.get_vfd_handle()
@@ -119,8 +120,11 @@ class EpisodeFile:
                 return h5py.h5g.open(self._file.id, name), self._descriptor
             # HDF5 itself would open and close the other file for every episode.
             filename, name = links.get_val(name)
-            other = self._open((self._path.parent / os.fsdecode(filename)).resolve())
-            return h5py.h5g.open(other.id, name), other.id.get_vfd_handle()
+            if filename not in self._linked:
+                other = self._open((self._path.parent / os.fsdecode(filename)).resolve())
+                self._linked[filename] = (other, other.id.get_vfd_handle())
+            other, descriptor = self._linked[filename]
+            return h5py.h5g.open(other.id, name), descriptor
         except (KeyError, ValueError, RuntimeError):
             raise DatasetError(f"{self.name} has no episode {episode}") from None
 

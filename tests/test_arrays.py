@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import h5py
@@ -384,3 +386,30 @@ def test_tiers_of_one_variant_are_told_apart() -> None:
     data = synthetic([2] * 8, [BASE, RANDOM] * 4)
     half = data.portion(0.0, 0.5)
     assert sorted(origin.tier for origin in half.origins) == ["expert"] * 2 + ["random"] * 2
+
+
+def test_a_link_to_what_is_gone_is_named(small_datasets: list[str]) -> None:
+    combine_datasets([HOPPER, LEGS], "imujoco/hopper-some-v0", link=True)
+    main_file(LEGS).unlink()
+    with pytest.raises(
+        DatasetError, match=r"hopper-some-v0: .*hopper-massdec_25_leggeom-random-v0.*cannot be read"
+    ):
+        arrays("imujoco/hopper-some-v0")
+
+
+def test_loading_and_exporting_need_neither_minari_nor_mujoco(
+    small_datasets: list[str], tmp_path: Path
+) -> None:
+    # Other libraries' environments, with their old pins, have neither.
+    code = (
+        "import sys\n"
+        "for name in ('minari', 'mujoco', 'torch', 'stable_baselines3', 'jax'): sys.modules[name] = None\n"
+        "import imujoco_minari.adapters\n"
+        "from imujoco_minari import Sampler, export, held_out\n"
+        f"export({HOPPER!r}, 'd4rl', {str(tmp_path / 'x.hdf5')!r})\n"
+        f"Sampler({HOPPER!r}).sample(2)\n"
+        "held_out('hopper-mass-v1')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "x.hdf5").exists()
