@@ -114,19 +114,22 @@ class EpisodeFile:
     def _group(self, episode: int) -> tuple[h5py.h5g.GroupID, int]:
         """Open an episode's group, through a link if need be; return its file's descriptor too."""
         name = f"episode_{episode}".encode()
+        links, file, descriptor = self._file.id.links, self._file, self._descriptor
         try:
-            links = self._file.id.links
-            if links.get_info(name).type != h5py.h5l.TYPE_EXTERNAL:
-                return h5py.h5g.open(self._file.id, name), self._descriptor
             # HDF5 itself would open and close the other file for every episode.
-            filename, name = links.get_val(name)
+            linked = links.get_val(name) if links.get_info(name).type == h5py.h5l.TYPE_EXTERNAL else None
+        except (KeyError, RuntimeError):
+            raise DatasetError(f"{self.name} has no episode {episode}") from None
+        if linked is not None:
+            filename, name = linked
             if filename not in self._linked:
                 other = self._open((self._path.parent / os.fsdecode(filename)).resolve())
                 self._linked[filename] = (other, other.id.get_vfd_handle())
-            other, descriptor = self._linked[filename]
-            return h5py.h5g.open(other.id, name), descriptor
-        except (KeyError, ValueError, RuntimeError):
-            raise DatasetError(f"{self.name} has no episode {episode}") from None
+            file, descriptor = self._linked[filename]
+        try:
+            return h5py.h5g.open(file.id, name), descriptor
+        except (KeyError, ValueError):
+            raise DatasetError(f"{self.name}: episode {episode} is no group of {file.filename}") from None
 
     def _open(self, path: Path) -> h5py.File:
         if path not in self._files:
