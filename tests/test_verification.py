@@ -443,6 +443,12 @@ class TestScreening:
         monkeypatch.setattr(screening, "_BYTES_PER_SECOND", 10**12)
         assert "cannot be read within" in str(verify(ID)[0])
 
+    def test_a_child_that_says_nothing_is_a_finding(
+        self, data: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        self.child(monkeypatch, "pass")
+        assert "gave no answer" in str(verify(ID)[0])
+
     def test_a_failure_is_a_finding(self, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.child(monkeypatch, "raise MemoryError('too much')")
         assert "MemoryError: too much" in str(verify(ID)[0])

@@ -19,7 +19,7 @@ from imujoco_minari.verification.findings import Checked, Finding
 
 MAX_MEMORY_BYTES = 2**33
 # What the slowest disk worth the name needs, beside a start on a busy machine.
-_START_SECONDS, _BYTES_PER_SECOND = 120, 2 * 2**20
+_START_SECONDS, _BYTES_PER_SECOND = 60, 2 * 2**20
 
 _CHILD = """
 import json, resource, sys
@@ -61,7 +61,11 @@ def checked_apart(data: Path) -> Checked | Finding:
         return Finding(
             content.MAIN_FILE, f"cannot be read: {lines[-1][:200] if lines else 'no reason given'}"
         )
-    findings, replayable = json.loads(done.stdout)
+    try:
+        # The last line: a library may have said something before.
+        findings, replayable = json.loads(done.stdout.splitlines()[-1])
+    except (ValueError, IndexError):
+        return Finding(content.MAIN_FILE, "cannot be read: the process that read it gave no answer")
     return Checked([Finding(where, what) for where, what in findings], replayable)
 
 
