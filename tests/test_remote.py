@@ -25,7 +25,7 @@ from imujoco_minari.errors import (
 )
 from imujoco_minari.publishing import publish
 from imujoco_minari.remotes import card, pulling, pushing, stores
-from imujoco_minari.verification import screening
+from imujoco_minari.verification import inspect, screening
 
 HOPPER = "imujoco/hopper-massdec_25_leggeom-random-v0"
 BASE = "imujoco/hopper-base-random-v0"
@@ -244,6 +244,37 @@ def test_data_of_another_simulator_is_kept_and_said_to_be(
     (pulled,) = remotes.pull(HOPPER, REMOTE)
     assert pulled.downloaded
     assert not pulled.same_simulator
+
+
+def test_a_collection_of_another_simulator_is_kept_too(
+    store: FolderStore, elsewhere: Callable[[], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    remotes.push(LINKED, REMOTE)
+    elsewhere()
+    monkeypatch.setattr(pulling, "version", lambda name: "0.0.1")
+    monkeypatch.setattr(pulling, "inspect", refuse_replays)
+    assert [outcome.same_simulator for outcome in remotes.pull(LINKED, REMOTE)] == [False, False, True]
+
+
+def refuse_replays(data: Path, *, replay_episodes: int | None = None) -> list[Any]:
+    return inspect(data, replay_episodes=replay_episodes) if replay_episodes == 0 else ["replayed"]
+
+
+@pytest.mark.parametrize(
+    ("stated", "name"),
+    [
+        ({"author": ["imujoco_minari"]}, "apache-2.0"),
+        ({"author": ["someone"]}, "unknown"),
+        ({"author": ["someone", "imujoco_minari"]}, "unknown"),
+        ({"author": ["someone"], "license": "Apache-2.0"}, "apache-2.0"),
+    ],
+)
+def test_others_data_is_not_licensed_by_us(published: Path, tmp_path: Path, stated: Any, name: str) -> None:
+    shutil.copytree(published / BASE / "data", tmp_path / "data")
+    edit_metadata(tmp_path / "data" / "metadata.json", **stated)
+    text = card.dataset_card(tmp_path / "data", REMOTE)
+    assert f"license: {name}\n" in text
+    assert ("not from its archive" in text) == (stated["author"] == ["imujoco_minari"])
 
 
 def test_pulling_leaves_alone_what_is_here_and_names_what_is_not_there(store: FolderStore) -> None:

@@ -14,12 +14,14 @@ from typing import Any
 import h5py
 import numpy as np
 
-from imujoco_minari.content import MAIN_FILE
+from imujoco_minari.content import MAIN_FILE, REPLAYABLE
 from imujoco_minari.differences import differences
 from imujoco_minari.errors import VariantError
 from imujoco_minari.tiers import RANDOM, REPLAY, TIERS
 from imujoco_minari.variants import EXPERT, Variant, parse_dataset_id
 
+# How datasets name this package as their author.
+OURS = "imujoco_minari"
 ORIGINAL = "https://zenodo.org/records/7971395"
 PAPER = "https://arxiv.org/abs/2306.13554"
 CITATION = """@inproceedings{patacchiola2023comparing,
@@ -35,15 +37,16 @@ _LARGER_SIZES = ((10**7, "1M<n<10M"), (10**8, "10M<n<100M"), (10**9, "100M<n<1B"
 _TAGS = ("minari", "gymnasium", "mujoco", "imitation-learning", "offline-reinforcement-learning", "imujoco")
 
 
-def front_matter(title: str, steps: int, tags: Sequence[str] = ()) -> str:
+def front_matter(title: str, license_: str, steps: int, tags: Sequence[str] = ()) -> str:
     """Return the YAML block at the head of a card.
 
     Args:
         title: the name that a page shows.
+        license_: the Hub's name of a licence.
         steps: number of steps, by which the Hub sorts datasets into sizes.
         tags: beside those that all datasets of this package have.
     """
-    lines = ["---", "license: apache-2.0", f"pretty_name: {json.dumps(title)}"]
+    lines = ["---", f"license: {license_}", f"pretty_name: {json.dumps(title)}"]
     # The Hub would take HDF5 for a table and show an error where the card should be.
     lines += ["viewer: false", "size_categories:", f"- {size_category(steps)}"]
     lines += ["task_categories:", "- reinforcement-learning", "- robotics", "tags:"]
@@ -69,13 +72,13 @@ def dataset_card(data: Path, remote: str) -> str:
         lengths = np.array([int(attrs["total_steps"]) for attrs in episodes])
     tags = [str(metadata[key]) for key in ("robot", "category", "tier") if metadata.get(key)]
     parts = [
-        front_matter(dataset_id, int(metadata["total_steps"]), tags),
+        front_matter(dataset_id, _license(metadata), int(metadata["total_steps"]), tags),
         f"# {dataset_id}\n\n{metadata.get('description', '')}\n",
         *_change(dataset_id),
         "## Numbers\n\n" + _table(("", ""), _numbers(metadata, returns, lengths)),
         "## How it is loaded\n\n" + _loading(dataset_id, remote),
         "## How it was made\n\n" + _making(metadata),
-        _origin(),
+        _origin([metadata]),
     ]
     return "\n".join(parts)
 
@@ -98,18 +101,19 @@ def namespace_card(namespace: str, remote: str, datasets: Mapping[str, Mapping[s
         )
         for dataset_id, metadata in sorted(datasets.items())
     ]
+    licenses = {_license(metadata) for metadata in datasets.values()}
+    license_ = licenses.pop() if len(licenses) == 1 else "other"
     example = sorted(datasets)[0] if datasets else f"{namespace}/hopper-base-v0"
     return "\n".join(
         [
-            front_matter(f"iMuJoCo, rebuilt ({namespace})", steps),
+            front_matter(f"iMuJoCo, rebuilt ({namespace})", license_, steps),
             f"# {namespace}\n\nDatasets of Hopper, HalfCheetah and Walker2d, each with one physical "
-            "parameter changed, in [Minari](https://minari.farama.org)'s format. They rebuild iMuJoCo: the "
-            "environments, policies and episodes are new ones, made with the Python package "
-            "`imujoco-minari`.\n",
+            "parameter changed, in [Minari](https://minari.farama.org)'s format, made with the Python "
+            "package `imujoco-minari`.\n",
             "## How they are loaded\n\n" + _loading(example, remote),
             f"## The datasets\n\n{len(datasets)} datasets, {steps:,} steps.\n\n"
             + _table(("dataset", "episodes", "steps", "policy"), rows),
-            _origin(),
+            _origin(list(datasets.values())),
         ]
     )
 
@@ -167,14 +171,11 @@ def _making(metadata: Mapping[str, Any]) -> str:
     rows += [(key.replace("_", " "), f"`{metadata[key]}`") for key in named if key in metadata]
     command = _command(metadata)
     said = f"```console\n$ {command}\n```\n\n" if command else ""
-    return (
-        said
-        + _table(("", ""), rows)
-        + (
-            "Every episode is reset with its own recorded seed, so that seeds and actions replay the whole "
-            "dataset: `imujoco verify` does, and compares every bit.\n"
-        )
+    replay = (
+        "Every episode is reset with its own recorded seed, so that seeds and actions replay the whole "
+        "dataset: `imujoco verify` does, and compares every bit.\n"
     )
+    return said + _table(("", ""), rows) + (replay if metadata.get(REPLAYABLE, True) else "")
 
 
 def _command(metadata: Mapping[str, Any]) -> str:
@@ -184,6 +185,8 @@ def _command(metadata: Mapping[str, Any]) -> str:
     except VariantError:
         sources = metadata.get("combined_datasets")
         return f"imujoco combine {' '.join(sources)} --id {metadata['dataset_id']}" if sources else ""
+    if metadata.get("author") != [OURS]:
+        return ""
     if tier == REPLAY:
         return f"imujoco train {variant} --record-replay"
     if tier not in TIERS:
@@ -202,13 +205,25 @@ def _publish_command(variant: Variant, tier: str, metadata: Mapping[str, Any]) -
     return command
 
 
-def _origin() -> str:
+def _origin(datasets: Sequence[Mapping[str, Any]]) -> str:
+    """Say whose the episodes are, and how the original is cited."""
+    others = sorted({str(author) for each in datasets for author in each.get("author", [])} - {OURS})
+    if others:
+        said = f"Episodes or policies are the work of {', '.join(others)}."
+    else:
+        said = "These episodes are new ones, not from its archive."
     return (
         "## Where it comes from\n\n"
         f"The idea, the variants' names and their counts are iMuJoCo's ([paper]({PAPER}), "
-        f"[data]({ORIGINAL})); these episodes are not from its archive. Please cite the original:\n\n"
-        f"```bibtex\n{CITATION}\n```\n"
+        f"[data]({ORIGINAL})). {said} Please cite the original:\n\n```bibtex\n{CITATION}\n```\n"
     )
+
+
+def _license(metadata: Mapping[str, Any]) -> str:
+    """Return the Hub's name of a dataset's licence: others' data is not ours to license."""
+    if isinstance(metadata.get("license"), str):
+        return str(metadata["license"]).lower()
+    return "apache-2.0" if metadata.get("author") == [OURS] else "unknown"
 
 
 def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

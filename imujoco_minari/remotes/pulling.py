@@ -14,9 +14,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from imujoco_minari import roots
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError
-from imujoco_minari.remotes.stores import Store, connect, explained, metadata
+from imujoco_minari.remotes.stores import Store, connect, explained, metadata, sources_of
 from imujoco_minari.verification import Finding, inspect, screening
 from imujoco_minari.verification.identity import read_metadata
 
@@ -95,7 +97,7 @@ def _pull(store: Store, dataset_id: str, remote: str, force: bool, done: set[str
         stated = metadata(store, dataset_id)
     if stated is None:
         raise DatasetNotFoundError(f"{remote} lists no {dataset_id}; see `minari list remote`")
-    sources = [str(source) for source in stated.get("combined_datasets", [])]
+    sources = sources_of(stated)
     for source in sources:
         yield from _pull(store, source, remote, force, done)
     yield _download(store, dataset_id, remote, force, sources)
@@ -113,8 +115,9 @@ def _download(store: Store, dataset_id: str, remote: str, force: bool, sources: 
             place.parent.mkdir(parents=True, exist_ok=True)
             place.symlink_to(roots.dataset_folder(source).resolve())
         stated = read_metadata(staged / "data")
-        same = _same_simulator(stated)
-        findings = _findings(staged / "data", stated, dataset_id, same)
+        # What collections are made of was replayed, or not, when it was pulled.
+        same = bool(sources) or _same_simulator(stated)
+        findings = _findings(staged / "data", stated, dataset_id, same and not sources)
         if findings:
             raise DatasetError(f"{dataset_id} from {remote}: not kept, its check found: {findings[0]}")
         target = roots.commit(staged, dataset_id, replace=force)
@@ -123,25 +126,23 @@ def _download(store: Store, dataset_id: str, remote: str, force: bool, sources: 
 
 
 def _same_simulator(stated: dict[str, Any]) -> bool:
-    """Return whether a dataset was made by the MuJoCo and Gymnasium, and on the architecture, of here."""
-    if "versions" not in stated:
-        return True
-    ours = {name: version(name) for name in ("mujoco", "gymnasium")}
-    theirs = stated["versions"]
+    """Return whether the simulator and the processor here are as those that made a dataset."""
+    theirs = stated.get("versions")
     return (
         isinstance(theirs, dict)
+        and {name: version(name) for name in ("mujoco", "gymnasium")}.items() <= theirs.items()
         and stated.get("machine") == platform.machine()
-        and ours.items() <= theirs.items()
+        and stated.get("simd") == np.show_config(mode="dicts")["SIMD Extensions"]["found"]
     )
 
 
-def _findings(data: Path, stated: dict[str, Any], dataset_id: str, same_simulator: bool) -> list[Finding]:
+def _findings(data: Path, stated: dict[str, Any], dataset_id: str, replay: bool) -> list[Finding]:
     fatal = screening.survives(data)
     if fatal is not None:
         return [fatal]
     if stated.get("dataset_id") != dataset_id:
         return [Finding("metadata.json/dataset_id", f"is {str(stated.get('dataset_id'))[:80]!r}")]
-    if same_simulator:
+    if replay:
         return inspect(data, replay_episodes=1)
     # Another simulator may write the model otherwise and step it otherwise; the digests still stand.
     findings = inspect(data, replay_episodes=0)

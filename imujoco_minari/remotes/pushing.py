@@ -23,6 +23,7 @@ from imujoco_minari.remotes.stores import (
     namespace_file,
     namespaces,
     parse_object,
+    sources_of,
 )
 from imujoco_minari.verification import verify
 
@@ -106,11 +107,11 @@ def _with_sources(dataset_id: str) -> list[str]:
     """Return the datasets that one is made of, which Minari downloads with it, and then itself."""
     file = roots.dataset_folder(dataset_id) / METADATA_FILE
     try:
-        sources = parse_object(file.read_bytes(), str(file)).get("combined_datasets", [])
+        sources = sources_of(parse_object(file.read_bytes(), str(file)))
     except (OSError, RemoteError):
         # The check that follows says what is wrong with it.
         sources = []
-    parts = [part for source in sources if source != dataset_id for part in _with_sources(str(source))]
+    parts = [part for source in sources if source != dataset_id for part in _with_sources(source)]
     return list(dict.fromkeys([*parts, dataset_id]))
 
 

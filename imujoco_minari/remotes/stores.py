@@ -105,6 +105,12 @@ def parse_object(data: bytes, name: str) -> dict[str, Any]:
     return value
 
 
+def sources_of(stated: Mapping[str, Any]) -> list[str]:
+    """Return the ids of the datasets that a dataset's metadata says it is made of."""
+    sources = stated.get("combined_datasets")
+    return [source for source in sources if isinstance(source, str)] if isinstance(sources, list) else []
+
+
 def namespaces(dataset_id: str) -> list[str]:
     """Return the namespaces around a dataset, the outermost first."""
     parts = dataset_id.split("/")[:-1]
