@@ -437,6 +437,15 @@ class TestScreening:
             "main_data.hdf5: is damaged so that reading it kills the process (SIGSEGV)"
         ]
 
+    def test_what_kills_the_child_is_told_from_damage(
+        self, data: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        self.child(monkeypatch, "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
+        flip(content.main_file(data), 0)
+        changed, killed = map(str, verify(ID))
+        assert "has changed since it was published" in changed
+        assert "SIGSEGV" in killed
+
     def test_a_hang_is_a_finding(self, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.child(monkeypatch, "import time; time.sleep(60)")
         monkeypatch.setattr(screening, "_START_SECONDS", 0.2)
