@@ -232,6 +232,8 @@ def test_diff_catalogue_without_an_archive_takes_what_is_published(
     assert "no dataset of the original is published here" in capsys.readouterr().err
     assert run(["import-archive", str(place), "--json"]) == 0
     capsys.readouterr()
+    assert run(["verify", f"imujoco-original/{HOPPER}-v0"]) == 0
+    assert "sound, but for a replay: it was imported without seeds" in capsys.readouterr().out
     assert run(["diff-catalogue"]) == 0
     assert "models: 2 compared, 1 as ours, 1 different" in capsys.readouterr().out
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -124,7 +124,8 @@ def report(outcome: Published, quiet: bool) -> None:
     if outcome.created:
         out.print(
             f"published {outcome.dataset_id}: {outcome.episodes} episodes, {outcome.steps} steps, return "
-            f"{outcome.return_mean:.1f} ± {outcome.return_std:.1f}, in {outcome.seconds:.1f} s\n  at {outcome.path}"
+            f"{outcome.return_mean:.1f} ± {outcome.return_std:.1f}, in {outcome.seconds:.1f} s\n"
+            f"  at {outcome.path}"
         )
     else:
         out.print(
@@ -166,7 +167,8 @@ def combine(
         new_id = new_id or collection_id(robot, category, tier)
         if not sources:
             raise DatasetNotFoundError(
-                f"no {tier} dataset of {robot} is published here: `imujoco publish --robot {robot}` makes them"
+                f"no {tier} dataset of {robot} is published here: "
+                f"`imujoco publish --robot {robot}` makes them"
             )
     dataset = combine_datasets(sources, new_id, link=link, force=force)
     summary = {
@@ -214,7 +216,10 @@ def verify_datasets(
         )
     else:
         for dataset_id, findings in results.items():
-            out.print(f"{dataset_id}: " + (f"{len(findings)} findings" if findings else "sound"))
+            # An imported dataset has no seeds, and what cannot be replayed is sound in less.
+            imported = _stated(dataset_id).get("replayable") is False
+            sound = "sound, but for a replay: it was imported without seeds" if imported else "sound"
+            out.print(f"{dataset_id}: " + (f"{len(findings)} findings" if findings else sound))
             if findings:
                 print_table(("where", "what"), [[finding.where, finding.what] for finding in findings])
     if any(results.values()):
@@ -223,14 +228,13 @@ def verify_datasets(
 
 def _episodes(dataset_id: str) -> int:
     """Return how many episodes a dataset states that it has, for the progress bar alone."""
-    import json
+    episodes = _stated(dataset_id).get("total_episodes")
+    return episodes if isinstance(episodes, int) else 0
 
+
+def _stated(dataset_id: str) -> dict[str, Any]:
+    """Return what a dataset's metadata state; empty where they cannot be read."""
     from imujoco_minari import roots
+    from imujoco_minari.verification.identity import read_metadata
 
-    try:
-        metadata = json.loads(
-            (roots.dataset_folder(dataset_id) / "data" / "metadata.json").read_text("utf-8")
-        )
-        return int(metadata["total_episodes"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return 0
+    return read_metadata(roots.dataset_folder(dataset_id) / "data")
