@@ -86,7 +86,7 @@ def dataset_sha256(digests: Iterable[str]) -> str:
 
 
 def seal_files(data: Path) -> None:
-    """Write into ``metadata.json`` the digests of both files, as the last act before a dataset is committed."""
+    """Write into ``metadata.json`` the digests of both files, the last act before a dataset is committed."""
     path = data / "metadata.json"
     metadata = json.loads(path.read_text("utf-8"))
     metadata[FILE_DIGEST] = file_sha256(main_file(data))

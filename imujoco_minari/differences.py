@@ -60,8 +60,8 @@ def model_differences(before: Any, after: Any) -> list[Difference]:
     for i in range(before.njnt):
         name = before.joint(i).name
         for side, end in (("lower", 0), ("upper", 1)):
-            degrees = (np.degrees(model.joint(name).range[end]) for model in (before, after))
-            compare(f"{side} limit of {name}", *degrees, "deg")
+            first, second = (np.degrees(model.joint(name).range[end]) for model in (before, after))
+            compare(f"{side} limit of {name}", first, second, "deg")
     compare("height of the root", before.body_pos[1][2], after.body_pos[1][2], "m")
     return pairs
 

@@ -37,7 +37,9 @@ def export_zip(variant: Variant, path: Path, actor: Actor | None = None) -> Path
     ]
     env = make(variant)
     # One transition is the least that a buffer holds; the exported agent brings none.
-    model = SAC("MlpPolicy", env, buffer_size=1, policy_kwargs={"net_arch": widths, "activation_fn": activation})
+    model = SAC(
+        "MlpPolicy", env, buffer_size=1, policy_kwargs={"net_arch": widths, "activation_fn": activation}
+    )
     state = {name: torch.from_numpy(array.copy()) for name, array in actor.weights.items()}
     try:
         model.actor.load_state_dict(state, strict=True)

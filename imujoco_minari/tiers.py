@@ -57,7 +57,8 @@ def parts(variant: Variant, tier: str, episodes: int, *, path: Path | None, stoc
         return [Part(load_policy(variant, tier=tier, path=path, stochastic=stochastic), episodes)]
     if tier == REPLAY:
         raise PolicyNotFoundError(
-            f"the tier {REPLAY} is recorded while a policy is trained: `imujoco train {variant} --record-replay`"
+            f"the tier {REPLAY} is recorded while a policy is trained: "
+            f"`imujoco train {variant} --record-replay`"
         )
     if tier not in TIERS:
         raise PolicyNotFoundError(

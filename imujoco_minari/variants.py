@@ -215,7 +215,8 @@ def catalogue(robot: str | None = None, category: str | None = None) -> tuple[Va
         specification(robot)
     if category is not None and category not in CATEGORIES:
         raise VariantError(
-            f"unknown category {_clip(category)!r}{suggestion(category[:80], CATEGORIES)}; valid: {', '.join(CATEGORIES)}"
+            f"unknown category {_clip(category)!r}{suggestion(category[:80], CATEGORIES)}; "
+            f"valid: {', '.join(CATEGORIES)}"
         )
     return tuple(
         variant
@@ -260,7 +261,8 @@ def parse_specification(text: str, name: str) -> RobotSpecification:
     unknown = sorted(set(data) - known)
     if unknown:
         raise CatalogueError(
-            f"{name}: unknown key {unknown[0]!r}{suggestion(unknown[0], known)}; valid: {', '.join(sorted(known))}"
+            f"{name}: unknown key {unknown[0]!r}{suggestion(unknown[0], known)}; "
+            f"valid: {', '.join(sorted(known))}"
         )
     feet = tuple(_strings(data, "feet", name))
     z_range = data.get("healthy_z_range")

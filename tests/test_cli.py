@@ -39,7 +39,10 @@ def test_show_tells_the_change_in_numbers(capsys: pytest.CaptureFixture[str]) ->
 
 
 def test_publish_verify_combine(capsys: pytest.CaptureFixture[str], root: Path) -> None:
-    assert run(["publish", "--robot", "hopper", "--category", "friction", "--tier", "random", "--episodes", "2"]) == 0
+    assert (
+        run(["publish", "--robot", "hopper", "--category", "friction", "--tier", "random", "--episodes", "2"])
+        == 0
+    )
     captured = capsys.readouterr()
     assert captured.out.count("published imujoco/hopper-friction") == 3
     assert "3 published, 0 there already, 0 failed" in captured.err
@@ -119,5 +122,7 @@ def test_a_root_that_cannot_be_written_is_named(
 
 
 def test_the_module_runs_as_the_command() -> None:
-    done = subprocess.run([sys.executable, "-m", "imujoco_minari", "--version"], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-m", "imujoco_minari", "--version"], capture_output=True, text=True, check=True
+    )
     assert done.stdout.startswith("imujoco-minari ")

@@ -30,14 +30,21 @@ def test_every_catalogue_id_is_registered_with_a_string_and_a_variant() -> None:
 
 
 def test_an_id_is_made_by_its_module_prefix_in_a_process_that_has_not_imported_us() -> None:
-    code = "import gymnasium; env = gymnasium.make('imujoco_minari:imujoco/hopper-massdec_25_leggeom-v0'); print(env.reset(seed=0)[0].shape)"
+    name = "imujoco_minari:imujoco/hopper-massdec_25_leggeom-v0"
+    code = f"import gymnasium; print(gymnasium.make({name!r}).reset(seed=0)[0].shape)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "(11,)"
 
 
 @pytest.mark.parametrize(
     "name",
-    ["hopper-massdec_25_leggeom", "halfcheetah-lengthinc_50_bthigh", "walker2d-frictiondec_50_feet", "walker2d-all", "hopper-length"],
+    [
+        "hopper-massdec_25_leggeom",
+        "halfcheetah-lengthinc_50_bthigh",
+        "walker2d-frictiondec_50_feet",
+        "walker2d-all",
+        "hopper-length",
+    ],
 )
 def test_gymnasiums_own_check_is_clean(name: str) -> None:
     env = gym.make(f"imujoco/{name}-v0").unwrapped
@@ -110,7 +117,7 @@ def test_a_collection_draws_variants_by_seed() -> None:
 
 def test_a_collection_refuses_strangers() -> None:
     env = gym.make("imujoco/hopper-mass-v0")
-    with pytest.raises(VariantError, match="not in this collection.*did you mean"):
+    with pytest.raises(VariantError, match=r"not in this collection.*did you mean"):
         env.reset(options={"variant": "hopper-massdec_25_leggem"})
     from imujoco_minari.envs import CollectionEnv
 

@@ -91,12 +91,13 @@ def _print_record(record: Any) -> None:
         return
     evaluation, random = record["evaluation"], record.get("random")
     out.print(
-        f"expert       {record['algorithm']}, {record['steps']:,} steps from {record['start']}, seed {record['seed']}"
+        f"expert       {record['algorithm']}, {record['steps']:,} steps from {record['start']}, "
+        f"seed {record['seed']}"
     )
     out.print(
         f"return       {evaluation['return_mean']:.1f} ± {evaluation['return_std']:.1f} "
-        f"({evaluation['return_min']:.1f} to {evaluation['return_max']:.1f}) over {evaluation['episodes']} episodes "
-        f"of {evaluation['length_mean']:.0f} steps"
+        f"({evaluation['return_min']:.1f} to {evaluation['return_max']:.1f}) "
+        f"over {evaluation['episodes']} episodes of {evaluation['length_mean']:.0f} steps"
     )
     if random:
         out.print(f"random       {random['return_mean']:.1f} over {random['episodes']} episodes")
