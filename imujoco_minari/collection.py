@@ -16,10 +16,10 @@ import numpy as np
 from minari import DataCollector
 from minari.data_collector import EpisodeBuffer
 
-from imujoco_minari.policies import Policy
+from imujoco_minari.policies import LANES, Policy
 from imujoco_minari.recording import EpisodeStorage
 from imujoco_minari.registration import make
-from imujoco_minari.rollouts import episode_seed, roll_out
+from imujoco_minari.rollouts import episode_seed, roll_out_together
 from imujoco_minari.variants import Variant
 
 
@@ -46,7 +46,7 @@ class FolderCollector(DataCollector):  # type: ignore[misc]
         self._folder = str(folder)
         self._attributes = dict(attributes or {})
         self._buffer: EpisodeBuffer | None
-        self._storage: EpisodeStorage
+        self._storage: Any
         super().__init__(env)
 
     @property
@@ -150,9 +150,42 @@ def collect(
         attributes: what every episode carries beside Minari's own attributes.
         on_episode: called after each episode.
     """
-    collector = FolderCollector(make(variant), target.parent, attributes)
-    for episode in episodes:
-        roll_out(collector, policy, episode_seed(seed, episode))
-        if on_episode is not None:
-            on_episode()
-    collector.keep(target)
+    seeds = [episode_seed(seed, episode) for episode in episodes]
+    lanes = [FolderCollector(make(variant), target.parent, attributes) for _ in range(min(LANES, len(seeds)))]
+    first = lanes[0]
+    storage = first._storage
+    in_order = _InOrder(storage)
+    for lane in lanes:
+        lane._storage = in_order
+
+    def begin(lane: int, episode: int) -> None:
+        lanes[lane]._episode_id = episode
+
+    roll_out_together(lanes, policy, seeds, begin, on_episode or _nothing)
+    for lane in lanes[1:]:
+        lane.close()
+    first._storage = storage
+    first.keep(target)
+
+
+def _nothing() -> None:
+    """Be called after each episode when no one wants to be."""
+
+
+class _InOrder:
+    """Takes episodes as they end, and hands them to a storage in the order of their numbers."""
+
+    def __init__(self, storage: EpisodeStorage) -> None:
+        self._storage = storage
+        self.observation_space, self.action_space = storage.observation_space, storage.action_space
+        self._waiting: dict[int, EpisodeBuffer] = {}
+        self._next = 0
+
+    def update_episodes(self, episodes: Iterable[EpisodeBuffer]) -> None:
+        self._waiting |= {buffer.id: buffer for buffer in episodes}
+        while self._next in self._waiting:
+            self._storage.update_episodes([self._waiting.pop(self._next)])
+            self._next += 1
+
+    def flush(self) -> None:
+        self._storage.flush()

@@ -6,8 +6,9 @@ so an episode is the same whichever process rolls it out, and after whichever ot
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
@@ -57,6 +58,58 @@ def roll_out(env: gym.Env[Any, Any], policy: Policy, seed: int) -> tuple[float, 
         length += 1
         ended = terminated or truncated
     return total, length
+
+
+def roll_out_together(
+    envs: Sequence[gym.Env[Any, Any]],
+    policy: Policy,
+    seeds: Sequence[int],
+    on_begin: Callable[[int, int], None],
+    on_end: Callable[[], None],
+) -> None:
+    """Run one episode a seed, as many at once as there are environments, each to its end.
+
+    An actor's weights pass through the processor's cache once for all instead of once for each, which
+    costs less than a third. What an episode holds does not depend on which others run beside it.
+
+    Args:
+        envs: equal environments that end every episode by themselves; at most ``policies.LANES``.
+        policy: chooses the actions, by ``act_together`` if it has that.
+        seeds: of the episodes, which begin in this order.
+        on_begin: called with the numbers of environment and episode before each is reset.
+        on_end: called after each episode.
+    """
+    act = getattr(policy, "act_together", None) or partial(_act_each, policy)
+    waiting = iter(enumerate(seeds))
+    observations: list[Any] = [None] * len(envs)
+    rngs: list[Any] = [None] * len(envs)
+
+    def begin(lane: int) -> bool:
+        episode, seed = next(waiting, (None, 0))
+        if episode is None:
+            return False
+        on_begin(lane, episode)
+        observations[lane], _ = envs[lane].reset(seed=seed)
+        rngs[lane] = np.random.default_rng(seed)
+        return True
+
+    active = [lane for lane in range(len(envs)) if begin(lane)]
+    steps = [env.step for env in envs]
+    while active:
+        actions = act(np.array([observations[lane] for lane in active]), [rngs[lane] for lane in active])
+        ended = []
+        for lane, action in zip(active, actions, strict=True):
+            observations[lane], _, terminated, truncated, _ = steps[lane](action)
+            if terminated or truncated:
+                ended.append(lane)
+        for lane in ended:
+            on_end()
+            if not begin(lane):
+                active.remove(lane)
+
+
+def _act_each(policy: Policy, observations: Any, rngs: Sequence[np.random.Generator]) -> list[Any]:
+    return [policy.act(row, rng) for row, rng in zip(observations, rngs, strict=True)]
 
 
 def evaluate(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import shutil
 import warnings
 
 import gymnasium as gym
@@ -14,7 +15,7 @@ from minari.dataset.minari_storage import MinariStorage
 
 from imujoco_minari import content
 from imujoco_minari.collection import FolderCollector, collect
-from imujoco_minari.policies import SIZES, RandomPolicy
+from imujoco_minari.policies import LANES, SIZES, Actor, RandomPolicy
 from imujoco_minari.recording import EpisodeStorage
 from imujoco_minari.registration import make
 from imujoco_minari.rollouts import episode_seed, roll_out
@@ -149,6 +150,54 @@ def test_episodes_do_not_depend_on_what_was_recorded_before(tmp_path):
     assert attributes | {"id": 2} == same_attributes
     assert attributes["tier"] == "random"
     assert all(arrays[key].tobytes() == same_arrays[key].tobytes() for key in same_arrays)
+
+
+def untrained(observations=11, actions=3, **options):
+    rng = np.random.default_rng(1)
+    shapes = {
+        "latent_pi.0": (256, observations),
+        "latent_pi.2": (256, 256),
+        "mu": (actions, 256),
+        "log_std": (actions, 256),
+    }
+    weights = {
+        f"{name}.bias": rng.normal(0, 0.1, size[0]).astype(np.float32) for name, size in shapes.items()
+    }
+    for name, size in shapes.items():
+        weights[f"{name}.weight"] = rng.normal(0, size[1] ** -0.5, size).astype(np.float32)
+    return Actor(weights, **options)
+
+
+@pytest.mark.parametrize("deterministic", [True, False])
+def test_episodes_of_an_actor_do_not_depend_on_what_is_rolled_out_beside_them(tmp_path, deterministic):
+    variant, actor = Variant.parse("hopper-base"), untrained(deterministic=deterministic)
+    collect(variant, actor, range(19), 7, tmp_path / "all")
+    everything = stored(tmp_path / "all")
+    assert [attributes["id"] for attributes, _ in everything.values()] == list(range(19))
+    assert [attributes["seed"] for attributes, _ in everything.values()] == [
+        episode_seed(7, episode) for episode in range(19)
+    ]
+    assert len({attributes["total_steps"] for attributes, _ in everything.values()}) > 3
+    for episodes in ([5], [18, 3, 11], range(4, 14)):
+        collect(variant, actor, episodes, 7, tmp_path / "some")
+        for place, episode in enumerate(episodes):
+            _, arrays = stored(tmp_path / "some")[f"episode_{place}"]
+            _, same = everything[f"episode_{episode}"]
+            assert all(arrays[key].tobytes() == same[key].tobytes() for key in same)
+        shutil.rmtree(tmp_path / "some")
+
+
+def test_an_observation_gives_the_same_action_in_whatever_company():
+    rng = np.random.default_rng(0)
+    observations = rng.standard_normal((LANES, 11))
+    actor = untrained()
+    together = actor.act_together(observations, [])
+    for count in range(1, LANES + 1):
+        for shift in range(count):
+            rows = (np.arange(count) + shift) % LANES
+            assert actor.act_together(observations[rows], []).tobytes() == together[rows].tobytes()
+    alone = [actor.act(observation, rng) for observation in observations]
+    np.testing.assert_allclose(together, alone, rtol=0, atol=1e-5)
 
 
 def test_a_storage_counts_what_it_has_not_yet_written(tmp_path):

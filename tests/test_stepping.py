@@ -93,6 +93,7 @@ actor, digest = Actor(weights), hashlib.sha256()
 for _ in range(300):
     observation = rng.standard_normal(17)
     digest.update(actor.act(observation, rng).tobytes())
+    digest.update(actor.act_together(rng.standard_normal((5, 17)), []).tobytes())
 batch = actor.act(observation[None], rng)[0]
 print(digest.hexdigest(), np.allclose(actor.act(observation, rng), batch, atol=1e-5))
 """
