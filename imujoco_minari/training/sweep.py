@@ -132,7 +132,7 @@ def _attempt(variant: Variant, plan: Plan, owner: int | None = None) -> Trained:
             raise TrainingError("the process that started this run is gone")
 
     # Processes of a pool are used again, and must not sink deeper with every variant.
-    os.nice(max(0, plan.nice - os.nice(0)))
+    os.nice(max(0, plan.nice - max(0, os.nice(0))))
     try:
         return train(variant, plan, stop_without_owner)
     except ImujocoError as error:
