@@ -121,15 +121,28 @@ def staging(*dataset_ids: str) -> Iterator[Path]:
         root.mkdir(parents=True, exist_ok=True)
         for dataset_id in dataset_ids:
             _check_place(dataset_folder(dataset_id))
-        tidy()
-        folder, lock = _locked_folder(root)
+        try:
+            with scratch(root) as folder:
+                yield folder
+        finally:
+            with suppress(OSError):
+                root.rmdir()
+
+
+@contextmanager
+def scratch(parent: Path, prefix: str = "") -> Iterator[Path]:
+    """Make a locked folder in ``parent`` and remove it at the end; before, remove what dead processes left.
+
+    Args:
+        parent: on the file system on which its content is to be renamed.
+        prefix: begins the folder's name, and those of the leftovers.
+    """
+    _tidy(parent, prefix)
+    folder, lock = _locked_folder(parent, prefix)
     try:
-        with failures_named(root.parent):
-            yield folder
+        yield folder
     finally:
         _discard(folder, lock)
-        with suppress(OSError):
-            root.rmdir()
 
 
 def _check_place(target: Path) -> None:
@@ -155,13 +168,13 @@ def _check_place(target: Path) -> None:
                 )
 
 
-def _locked_folder(root: Path) -> tuple[Path, int]:
-    """Make a folder in the staging root and lock it; return it and the lock's descriptor."""
+def _locked_folder(root: Path, prefix: str) -> tuple[Path, int]:
+    """Make a folder in ``root`` and lock it; return it and the lock's descriptor."""
     while True:
         root.mkdir(parents=True, exist_ok=True)
         # Between any two of these calls another process may tidy away what looks abandoned.
         with suppress(FileNotFoundError, BlockingIOError):
-            folder = Path(tempfile.mkdtemp(dir=root))
+            folder = Path(tempfile.mkdtemp(dir=root, prefix=prefix))
             lock = os.open(folder / _LOCK, os.O_CREAT | os.O_RDWR)
             try:
                 _lock(lock)
@@ -190,7 +203,13 @@ def tidy() -> None:
     A replacement that was cut between its two steps is finished. Where the file system has no locks,
     nothing tells the dead from the living, and nothing is removed.
     """
-    for folder in (datasets_root() / STAGING).glob("*"):
+    _tidy(datasets_root() / STAGING)
+    with suppress(OSError):
+        (datasets_root() / STAGING).rmdir()
+
+
+def _tidy(parent: Path, prefix: str = "") -> None:
+    for folder in parent.glob(f"{prefix}*"):
         try:
             # Made when it is not there: a process that died while it removed its folder took its lock first.
             lock = os.open(folder / _LOCK, os.O_CREAT | os.O_RDWR)
@@ -204,8 +223,6 @@ def tidy() -> None:
             os.close(lock)
             continue
         _discard(folder, lock)
-    with suppress(OSError):
-        (datasets_root() / STAGING).rmdir()
 
 
 def _discard(folder: Path, lock: int) -> None:
@@ -249,7 +266,7 @@ def commit(staged: Path, dataset_id: str, *, replace: bool = False) -> Path:
                 raise DatasetExistsError(
                     f"what lies at {target} is no dataset, so it is not replaced; move it away first"
                 ) from None
-            if not _exchange(staged, target):
+            if not exchange(staged, target):
                 _replace_in_two_steps(staged, target, dataset_id)
         _sync_folder(target.parent)
     return target
@@ -298,7 +315,7 @@ def _rename_new(source: Path, target: Path) -> None:
         raise
 
 
-def _exchange(source: Path, target: Path) -> bool:
+def exchange(source: Path, target: Path) -> bool:
     """Swap two folders in one step, so that at every moment ``target`` is the old or the new one.
 
     Returns:

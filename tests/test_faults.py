@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import fcntl
 import io
@@ -25,6 +26,7 @@ import pytest
 from imujoco_minari import roots
 from imujoco_minari.combining import combine_datasets
 from imujoco_minari.errors import ImujocoError, StorageError
+from imujoco_minari.exporting.targets import new_target
 from imujoco_minari.publishing import publish
 
 ID = "imujoco/hopper-base-v0"
@@ -56,7 +58,7 @@ def failing(at: int, code: int) -> Iterator[Faults]:
             patch.setattr(os, name, faults(getattr(os, name)))
         patch.setattr(io, "open", faults(io.open))
         patch.setattr(fcntl, "flock", faults(fcntl.flock))
-        patch.setattr(roots, "_exchange", faults(roots._exchange))
+        patch.setattr(roots, "exchange", faults(roots.exchange))
         yield faults
 
 
@@ -78,7 +80,7 @@ def test_every_call_of_a_commit_that_fails(
     root: Path, code: int, there: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if there.endswith("no exchange"):
-        monkeypatch.setattr(roots, "_exchange", lambda source, target: False)
+        monkeypatch.setattr(roots, "exchange", lambda source, target: False)
     # The disk's own time is not what is tested, and most of what a commit takes.
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)
     at, ends = 0, set()
@@ -105,6 +107,36 @@ def test_every_call_of_a_commit_that_fails(
             break
     assert at > 25
     assert ends == {"done", os.strerror(code)}
+
+
+def export(mark: str, target: Path) -> None:
+    with new_target(target, force=True) as path:
+        path.mkdir()
+        (path / "a").write_text(mark)
+        (path / "b").write_text(mark)
+
+
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO, errno.EACCES])
+@pytest.mark.parametrize("exchange", [True, False])
+def test_every_call_of_an_export_that_fails(
+    tmp_path: Path, code: int, exchange: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not exchange:
+        monkeypatch.setattr(roots, "exchange", lambda source, target: False)
+    at, target = 0, tmp_path / "exports" / "folder"
+    while True:
+        at += 1
+        shutil.rmtree(tmp_path / "exports", ignore_errors=True)
+        export("old", target)
+        with failing(at, code) as faults, contextlib.suppress(StorageError):
+            export("new", target)
+        marks = {(target / name).read_text() for name in ("a", "b")}
+        assert marks in ({"old"}, {"new"}), f"call {at}"
+        export("again", target)
+        assert [path.name for path in target.parent.iterdir()] == ["folder"], f"call {at}"
+        if faults.count < at:
+            break
+    assert at > 10
 
 
 def test_the_same_disk_in_order_gives_no_error() -> None:

@@ -255,7 +255,7 @@ class TestWithoutExchange:
 
     @pytest.fixture(autouse=True)
     def _no_exchange(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(roots, "_exchange", lambda source, target: False)
+        monkeypatch.setattr(roots, "exchange", lambda source, target: False)
 
     def test_replace(self, root: Path) -> None:
         put("old")

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import h5py
 import numpy as np
 
 from imujoco_minari.arrays import Arrays
+from imujoco_minari.writing import writing
 
 
 def write(data: Arrays, target: Path, *, states_only: bool) -> None:
@@ -28,7 +28,7 @@ def write(data: Arrays, target: Path, *, states_only: bool) -> None:
     if not states_only:
         columns["actions"] = data.actions.astype(np.float32)
         columns["rewards"] = data.rewards.astype(np.float32)
-    with h5py.File(target, "w") as file:
+    with writing(target, new=True) as file:
         for name, column in columns.items():
             file.create_dataset(name, data=column)
         file["infos/variant_index"] = data.variant_index

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import h5py
 import numpy as np
 
 from imujoco_minari.arrays import Arrays
 from imujoco_minari.errors import DatasetError
+from imujoco_minari.writing import writing
 
 
 def write(data: Arrays, target: Path, *, states_only: bool) -> None:
@@ -32,6 +32,6 @@ def write(data: Arrays, target: Path, *, states_only: bool) -> None:
         "reward": data.rewards,
         "done": data.terminations,
     }
-    with h5py.File(target, "w") as file:
+    with writing(target, new=True) as file:
         for name, column in columns.items():
             file.create_dataset(name, data=column.astype(np.float32))

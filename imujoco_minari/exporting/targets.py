@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from imujoco_minari import roots
 from imujoco_minari.errors import DatasetExistsError, StorageError
+
+_PREFIX = ".imujoco-export-"
 
 
 @contextmanager
@@ -21,19 +22,28 @@ def new_target(target: Path, *, force: bool = False) -> Iterator[Path]:
     """
     if target.exists() and not force:
         raise DatasetExistsError(f"{target} is already there; it was left alone (--force replaces it)")
-    staging = None
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        staging = Path(tempfile.mkdtemp(prefix=f".{target.name[:80]}-", dir=target.parent))
-        yield staging / target.name
-        if target.is_dir():
-            target.rename(staging / "replaced")
-        (staging / target.name).replace(target)
+        with roots.scratch(target.parent, _PREFIX) as staging:
+            yield staging / target.name
+            _put(staging / target.name, target)
     except OSError as error:
         # An error of ours may be a builtin of this kind too, and says more.
         if type(error).__module__ != OSError.__module__:
             raise
         raise StorageError(f"cannot write {target}: {error.strerror or error}") from None
-    finally:
-        if staging is not None:
-            shutil.rmtree(staging, ignore_errors=True)
+
+
+def _put(new: Path, target: Path) -> None:
+    """Give ``new`` the name of ``target``; what has it now goes into the folder that ``new`` was in."""
+    if not target.is_dir():
+        new.replace(target)
+    elif not roots.exchange(new, target):
+        # Where a system cannot swap folders, the old one comes back if the new one does not get in.
+        old = new.with_name(".old")
+        target.rename(old)
+        try:
+            new.rename(target)
+        except BaseException:
+            old.rename(target)
+            raise
