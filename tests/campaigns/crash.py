@@ -295,7 +295,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--every", type=int, default=1, help="let every n-th call go wrong only")
     parser.add_argument("--kills", type=int, default=60, help="kills at random moments")
-    parser.add_argument("--only", choices=SCENARIOS, help="one scenario")
+    parser.add_argument("--only", choices=[*SCENARIOS, "random kills"], help="one scenario")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     tally = Tally()
