@@ -59,3 +59,10 @@ def truth(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Tr
     ended = [bool(episode["terminations"][-1]) for episode in episodes]
     assert all(ended) if request.param == "hopper" else not any(ended)
     return truth
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Fail where the library is said to be there and a test was skipped all the same."""
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    if "IMUJOCO_INTEROP_LIBRARY" in os.environ and reporter.stats.get("skipped"):
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
