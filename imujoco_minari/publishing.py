@@ -20,7 +20,6 @@ import h5py
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from minari.data_collector import EpisodeBuffer
-from minari.data_collector.callbacks import EpisodeMetadataCallback
 from minari.dataset.minari_storage import MinariStorage
 
 from imujoco_minari import content, copying, roots
@@ -29,6 +28,7 @@ from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError
 from imujoco_minari.mjcf import canonical_mjcf, mjcf_sha256
 from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies import Policy
+from imujoco_minari.recording import EpisodeStorage
 from imujoco_minari.references import reference_scores
 from imujoco_minari.tiers import Part, parts
 from imujoco_minari.variants import EXPERT, Variant
@@ -188,9 +188,11 @@ def publish_episodes(
         staged = folder / "dataset"
         data = staged / "data"
         data.mkdir(parents=True)
-        storage = MinariStorage.new(data, env_spec=external.env_spec)
+        stock = MinariStorage.new(data, env_spec=external.env_spec)
+        storage = EpisodeStorage(data, stock.observation_space, stock.action_space)
+        storage.attributes = external.attributes
         storage.update_episodes(episodes)
-        _seal_episodes(storage, external.attributes)
+        storage.flush()
         storage.update_metadata(
             _seal(storage, external.attributes, external.mjcf)
             | {"dataset_id": dataset_id, "minari_version": version("minari")}
@@ -350,16 +352,6 @@ def _seal(storage: MinariStorage, attributes: Mapping[str, Any], mjcf: str) -> d
         }
         file.attrs.update({**attributes, "mjcf": mjcf, **digests})
     return {**attributes, **digests}
-
-
-def _seal_episodes(storage: MinariStorage, attributes: Mapping[str, Any]) -> None:
-    """Write attributes and digests to episodes that were not recorded by :func:`collect`."""
-    storage.update_episode_metadata(storage.apply(EpisodeMetadataCallback()))
-    with writing(content.main_file(storage.data_path)) as file:
-        for episode in range(len(file)):
-            group = file[f"episode_{episode}"]
-            group.attrs.update(attributes)
-            content.seal_episode(group)
 
 
 def _algorithms(policies: Sequence[Policy]) -> str:
