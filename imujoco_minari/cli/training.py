@@ -53,6 +53,9 @@ def train_variants(
     nice: Annotated[int, typer.Option("--nice", min=0, max=19, help="Lower the priority by this much.")] = 0,
     state: Annotated[Path | None, typer.Option("--state", help="Folder of unfinished runs.")] = None,
     output: Annotated[Path | None, typer.Option("--output", help="Folder for finished policies.")] = None,
+    improve: Annotated[
+        bool, typer.Option("--improve", help="Train finished policies on, and keep what is better.")
+    ] = False,
     record_replay: Annotated[
         bool, typer.Option("--record-replay", help="Publish the run's transitions as the tier replay.")
     ] = False,
@@ -71,7 +74,7 @@ def train_variants(
 
     chosen = select(variants or [], robot, category, everything)
     changes: dict[str, Any] = {} if max_steps is None else {"max_steps": max_steps}
-    plan = Plan(state or default_state(), output, scratch, seed, target, changes, nice)
+    plan = Plan(state or default_state(), output, scratch, seed, target, changes, nice, improve)
     if record_replay:
         os.nice(nice)
         _record(chosen, plan, as_json)

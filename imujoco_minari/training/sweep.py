@@ -9,8 +9,8 @@ from __future__ import annotations
 import fcntl
 import os
 import shutil
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -41,6 +41,7 @@ class Plan:
         target: return (mean less deviation) to stop at; None for a share of the base expert's.
         changes: hyperparameters that differ from the file's.
         nice: lower the priority of the process by this much.
+        improve: train finished policies on, and keep what is better.
     """
 
     state: Path
@@ -50,6 +51,7 @@ class Plan:
     target: float | None = None
     changes: dict[str, Any] = field(default_factory=dict)
     nice: int = 0
+    improve: bool = False
 
 
 @dataclass(frozen=True)
@@ -73,18 +75,26 @@ def train(variant: Variant, plan: Plan, on_interval: Any = None) -> Trained:
     Raises:
         ImujocoError: when the base agent to start from is not there, or another process is at it.
     """
-    done = expert_record(variant, plan.policies)
-    if done:
+    if not plan.improve and (done := expert_record(variant, plan.policies)):
         return Trained(variant, dict(done))
     folder = plan.state / str(variant)
     with _locked(folder):
+        # Looked up again: another process may have finished it while this one waited for nothing.
+        done = expert_record(variant, plan.policies)
+        if done and not plan.improve:
+            return Trained(variant, dict(done))
         run = Run(task(variant, plan), folder)
         try:
             record = run.train(on_interval)
         finally:
             run.close()
-        record = install(folder, record, plan.policies)
-    return Trained(variant, record, created=True)
+        better = not done or _score(record) > _score(done)
+        if better:
+            before = {"before": {key: done.get(key) for key in _HISTORY}} if done else {}
+            record = install(folder, record | before, plan.policies)
+        # The replay buffer alone is tens of megabytes.
+        shutil.rmtree(folder)
+    return Trained(variant, record if better else dict(done), created=better)
 
 
 def train_all(
@@ -124,6 +134,14 @@ def install(folder: Path, record: dict[str, Any], policies: Path | None) -> dict
     return record
 
 
+# What a record says of the policy that its own improves on.
+_HISTORY = ("start", "steps", "steps_trained", "updates", "wall_seconds", "weights_sha256", "before")
+
+
+def _score(record: Mapping[str, Any]) -> float:
+    return float(record["evaluation"]["return_mean"] - record["evaluation"]["return_std"])
+
+
 def _attempt(variant: Variant, plan: Plan, owner: int | None = None) -> Trained:
     """Train in a process of the pool that the process ``owner`` keeps; None when it is no pool's."""
 
@@ -145,19 +163,20 @@ def task(variant: Variant, plan: Plan) -> Task:
     Raises:
         PolicyNotFoundError: when the agent to start from is not there.
     """
-    if plan.scratch or variant.category == BASE:
-        settings = hyperparameters(variant.robot, SCRATCH, **plan.changes)
-        return Task(variant, settings, plan.seed, target=float("inf") if plan.target is None else plan.target)
-    settings = hyperparameters(variant.robot, WARM, **plan.changes)
     record = expert_record(variant.base, plan.policies)
     agent = expert_agent(variant.base, plan.policies)
+    whole = float("inf") if plan.target is None else plan.target
+    if plan.scratch or (variant.category == BASE and not (plan.improve and record)):
+        settings = hyperparameters(variant.robot, SCRATCH, **plan.changes)
+        return Task(variant, settings, plan.seed, target=whole)
+    start = SCRATCH if variant.category == BASE else WARM
+    settings = hyperparameters(variant.robot, start, **plan.changes)
     if not record or agent is None:
         raise PolicyNotFoundError(
             f"{variant} starts from the agent of {variant.base}, which is not there: "
             f"`imujoco train {variant.base}` first, or train with --scratch"
         )
-    evaluation = record["evaluation"]
-    target = TARGET_SHARE * (evaluation["return_mean"] - evaluation["return_std"])
+    target = TARGET_SHARE * _score(record) if plan.target is None and not plan.improve else whole
     return Task(
         variant,
         settings,
@@ -165,7 +184,7 @@ def task(variant: Variant, plan: Plan) -> Task:
         start=str(variant.base),
         agent=load_arrays(agent),
         start_sha256=record["weights_sha256"],
-        target=target if plan.target is None else plan.target,
+        target=target,
     )
 
 
@@ -180,7 +199,7 @@ def _in_order(variants: Sequence[Variant], plan: Plan) -> Iterator[list[Variant]
 
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
-    """Hold a run's state folder, and remove it when the run is through."""
+    """Hold a run's state folder against other processes."""
     folder.mkdir(parents=True, exist_ok=True)
     handle = os.open(folder / "lock", os.O_CREAT | os.O_RDWR)
     try:
@@ -191,12 +210,6 @@ def _locked(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.close(handle)
-
-
-def discard(variant: Variant, state: Path) -> None:
-    """Forget the unfinished training of a variant."""
-    with suppress(FileNotFoundError):
-        shutil.rmtree(state / str(variant))
 
 
 def default_state() -> Path:
