@@ -23,6 +23,11 @@ HOPPER = "hopper-massdec_25_leggeom"
 ODD = "walker2d-frictiondec_50_footleftgeom"
 
 
+@pytest.fixture(autouse=True)
+def few_random_episodes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("imujoco_minari.importing.originals.REFERENCE_EPISODES", 2)
+
+
 @pytest.fixture
 def place(tmp_path: Path) -> Path:
     return original_archive.write_archive(tmp_path / "archive", (HOPPER, ODD))
