@@ -1,52 +1,35 @@
-"""Policies: a random one, the shipped actors, and actors out of Stable-Baselines3 zips.
+"""What chooses actions: a random policy, and SAC's squashed Gaussian actor in NumPy.
 
-An :class:`Actor` is SAC's squashed Gaussian (the shape TQC and other kin share). It acts in NumPy, a
-tenth of the time of ``SAC.predict``, and its deterministic action equals ``SAC.predict``'s within
-float32 rounding. A zip from outside is read without running anything that it contains.
+The actor takes a tenth of the time of ``SAC.predict``, and its deterministic action equals
+``SAC.predict``'s within float32 rounding.
 """
 
 from __future__ import annotations
 
 import hashlib
-import io
-import json
-import os
-import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from importlib import resources
-from math import prod
-from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imujoco_minari.errors import PolicyError, PolicyNotFoundError
-from imujoco_minari.torch_file import TorchFile, read_entry
-from imujoco_minari.variants import EXPERT, Variant
+from imujoco_minari.errors import PolicyError
 
 Array = NDArray[Any]
 
 # Observation and action sizes of the robots' v5 environments.
 SIZES = {"hopper": (11, 3), "halfcheetah": (17, 6), "walker2d": (17, 6)}
-# A default SAC zip holds 3 MB; anything near this is no policy of these robots.
-MAX_ZIP_ENTRY, MAX_POLICY_FILE = 64 * 2**20, 256 * 2**20
 
 _LOG_STD_RANGE = (-20.0, 2.0)
-# What zipfile and json raise of a broken file.
-_BROKEN = (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, RuntimeError)
 _ACTIVATIONS = ("ReLU", "Tanh", "ELU", "SiLU")
-
 
 # OpenBLAS shares a matrix-vector product among threads above 9216 elements, and the last bits of the
 # sum then depend on their number, that is on the machine and on how many processes share it.
 _BLOCK = 8192
 # As an array: NumPy takes half a microsecond to convert the same number at each call.
 _ZERO = np.zeros((), np.float32)
-
 
 # How many observations an actor takes at once: at 8 the weights' way through the cache is shared by enough.
 LANES = 8
@@ -236,194 +219,12 @@ def _affine(x: Array, layer: _Layer) -> Array:
 
 
 def _affine_together(x: Array, layer: _Layer) -> Array:
-    """Return the layer's output for ``LANES`` rows, which always makes the same products of the same sizes."""
+    """Return the layer's output for ``LANES`` rows, always by the same products of the same sizes."""
     weight, blocks, bias = layer
     y: Array = np.dot(x, weight) if blocks is None else np.matmul(x, blocks).transpose(1, 0, 2)
     y = y.reshape(LANES, -1)
     y += bias
     return y
-
-
-def load_policy(
-    variant: Variant | str, *, tier: str = EXPERT, path: str | Path | None = None, stochastic: bool = False
-) -> Policy:
-    """Return the policy that makes a variant's data of a tier.
-
-    Args:
-        variant: a variant or its id.
-        tier: ``expert`` or ``random``; ignored when ``path`` is given.
-        path: a Stable-Baselines3 ``.zip`` or an actor's ``.safetensors`` to use instead.
-        stochastic: sample actions instead of taking their mode.
-
-    Raises:
-        PolicyNotFoundError: when no policy is shipped for the variant and tier, or ``path`` is missing.
-        PolicyError: when the file is no policy, or its shape does not fit the robot.
-    """
-    if isinstance(variant, str):
-        variant = Variant.parse(variant)
-    if path is not None:
-        actor = read_actor(Path(path), deterministic=not stochastic)
-        actor.check(variant.robot)
-        return actor
-    if tier == "random":
-        return RandomPolicy(SIZES[variant.robot][1])
-    if tier == EXPERT:
-        return expert_actor(variant, deterministic=not stochastic)
-    raise PolicyNotFoundError(f"no single policy makes the tier {tier!r}; valid: {EXPERT}, random, or a path")
-
-
-def expert_actor(variant: Variant, *, deterministic: bool = True) -> Actor:
-    """Return the expert actor of ``variant``: the user's own, else the one that the package ships.
-
-    Raises:
-        PolicyNotFoundError: when there is neither.
-    """
-    record = expert_record(variant)
-    if not record:
-        raise PolicyNotFoundError(
-            f"there is no expert policy for {variant}: train one with `imujoco train {variant}`, "
-            f"or give one with --policy FILE; {len(expert_variants())} are there, see `imujoco policies`"
-        )
-    path = find_policy_file(f"{variant}.safetensors")
-    if path is None:
-        raise PolicyNotFoundError(f"the record of {variant} is there, but not its weights")
-    return _actor_of(path.read_bytes(), path.name, record["algorithm"], deterministic, record)
-
-
-def expert_record(variant: Variant, folder: Path | None = None) -> Mapping[str, Any]:
-    """Return the training record of a variant's expert; empty when there is none.
-
-    Args:
-        variant: whose expert.
-        folder: look there and in the package; None looks in the user's policies and in the package.
-
-    Raises:
-        PolicyError: when the record cannot be read.
-    """
-    path = find_policy_file(f"{variant}.json", folder)
-    if path is None:
-        return {}
-    try:
-        record: Mapping[str, Any] = json.loads(path.read_text("utf-8"))
-    except ValueError as error:
-        raise PolicyError(f"{path}: not a training record: {error}") from None
-    return record
-
-
-def expert_variants() -> tuple[Variant, ...]:
-    """Return the variants that have an expert policy, the user's or shipped, sorted."""
-    names = {path.name for place in _places(None) if place.is_dir() for path in place.glob("*-*.json")}
-    return tuple(sorted(Variant.parse(name.removesuffix(".json")) for name in names))
-
-
-def expert_agent(variant: Variant, folder: Path | None = None) -> Path | None:
-    """Return the file of the whole agent that variants of a base start from, or None."""
-    return find_policy_file(f"{variant}.agent.safetensors", folder)
-
-
-def policies_folder() -> Path:
-    """Return the folder of the user's own policies: ``$IMUJOCO_HOME/policies``, or ``~/.imujoco/policies``."""
-    home = os.environ.get("IMUJOCO_HOME")
-    return (Path(home) if home else Path.home() / ".imujoco") / "policies"
-
-
-def read_actor(path: Path, *, deterministic: bool = True, algorithm: str = "SAC") -> Actor:
-    """Read an actor from a Stable-Baselines3 ``.zip`` or a ``.safetensors`` file.
-
-    Args:
-        path: the file.
-        deterministic: whether the actor acts by its mode.
-        algorithm: what trained the actor of a ``.safetensors``, which does not say so itself.
-
-    Raises:
-        PolicyNotFoundError: when there is no such file.
-        PolicyError: when it is neither, or holds no squashed Gaussian actor.
-    """
-    if not path.is_file():
-        raise PolicyNotFoundError(f"no policy file at {path}")
-    if path.stat().st_size > MAX_POLICY_FILE:
-        raise PolicyError(f"{path} has {path.stat().st_size} bytes; the limit is {MAX_POLICY_FILE}")
-    if path.suffix == ".safetensors":
-        return _actor_of(path.read_bytes(), str(path), algorithm, deterministic, {})
-    if not _is_zip(path):
-        raise PolicyError(
-            f"{path} is no policy; valid: a Stable-Baselines3 SAC .zip, or an actor's .safetensors"
-        )
-    return _read_zip(path, deterministic)
-
-
-def _is_zip(path: Path) -> bool:
-    try:
-        return zipfile.is_zipfile(path)
-    except zipfile.BadZipFile:
-        # Raised of some that nearly are.
-        return False
-
-
-def _actor_of(
-    data: bytes, name: str, algorithm: str, deterministic: bool, record: Mapping[str, Any]
-) -> Actor:
-    from safetensors import SafetensorError
-    from safetensors.numpy import load
-
-    try:
-        weights = {key: array.astype(np.float32) for key, array in load(data).items()}
-        return Actor(weights, algorithm, deterministic, record=record)
-    except (SafetensorError, PolicyError, KeyError, TypeError, ValueError) as error:
-        raise PolicyError(f"{name}: holds no actor: {error}") from None
-
-
-def _read_zip(path: Path, deterministic: bool) -> Actor:
-    """Read the actor out of a Stable-Baselines3 zip, of version 1 or 2.
-
-    Of ``data``, whose values are pickles, only the plain JSON text beside them is looked at.
-    """
-    try:
-        with zipfile.ZipFile(path) as archive:
-            state = TorchFile(io.BytesIO(read_entry(archive, "policy.pth", MAX_ZIP_ENTRY)))
-            settings = json.loads(read_entry(archive, "data", MAX_ZIP_ENTRY))
-        if not isinstance(settings, dict):
-            raise PolicyError("its data is no JSON object")
-        if settings.get("use_sde"):
-            raise PolicyError(
-                "the policy explores by gSDE, whose actor is not SAC's default; train without use_sde"
-            )
-        if "actor.mu.weight" not in state.tensors:
-            raise PolicyError("holds no squashed Gaussian actor; valid: a zip of SAC or TQC with MlpPolicy")
-        weights = {
-            key.removeprefix("actor."): state.read(key).astype(np.float32)
-            for key in state.tensors
-            if key.startswith("actor.")
-        }
-        return Actor(
-            weights,
-            algorithm=_algorithm(state),
-            deterministic=deterministic,
-            activation=_activation(settings),
-        )
-    except (PolicyError, *_BROKEN) as error:
-        raise PolicyError(
-            f"{path}: not a readable Stable-Baselines3 zip of a policy: {_first_line(error)}"
-        ) from None
-
-
-def _activation(settings: dict[str, Any]) -> str:
-    """Return the activation's class name from the JSON text of ``policy_kwargs``; SAC's default is ReLU."""
-    arguments = settings.get("policy_kwargs")
-    named = arguments.get("activation_fn") if isinstance(arguments, dict) else None
-    if named is None:
-        return "ReLU"
-    return str(named).rstrip("'>").rpartition(".")[2][:40]
-
-
-def _algorithm(state: TorchFile) -> str:
-    """Name the algorithm by its critic: TQC's gives many quantiles where SAC's gives one value."""
-    biases = [
-        tensor.shape
-        for key, tensor in state.tensors.items()
-        if key.startswith("critic.qf0.") and key.endswith(".bias")
-    ]
-    return "TQC" if biases and prod(biases[-1]) > 1 else "SAC"
 
 
 def _depth(weights: Mapping[str, Array]) -> int:
@@ -458,19 +259,3 @@ def _check_layer(weights: Mapping[str, Array], name: str, width: int | None) -> 
     if not (np.isfinite(weight).all() and np.isfinite(bias).all()):
         raise PolicyError(f"{name}: weights are not finite")
     return int(weight.shape[0])
-
-
-def _places(folder: Path | None) -> tuple[Path, Path]:
-    """Return where policies are looked for, first choice first."""
-    return (policies_folder() if folder is None else folder), Path(
-        str(resources.files("imujoco_minari") / "weights")
-    )
-
-
-def find_policy_file(name: str, folder: Path | None = None) -> Path | None:
-    """Return the file ``name`` among the user's policies (or in ``folder``), else among the shipped, or None."""
-    return next((place / name for place in _places(folder) if (place / name).is_file()), None)
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).strip() or type(error).__name__).splitlines()[0][:200]
