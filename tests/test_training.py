@@ -40,7 +40,9 @@ TINY: dict[str, Any] = {
 @pytest.fixture
 def unshipped(monkeypatch: pytest.MonkeyPatch) -> None:
     """Hide the policies that the package ships, so that there is something left to train."""
-    monkeypatch.setattr("imujoco_minari.policies.experts._places", lambda folder: (folder or policies_folder(),))
+    monkeypatch.setattr(
+        "imujoco_minari.policies.experts._places", lambda folder: (folder or policies_folder(),)
+    )
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
