@@ -13,7 +13,7 @@ from safetensors.numpy import save_file
 
 from imujoco_minari import transfer as module
 from imujoco_minari.cli.app import run
-from imujoco_minari.errors import PolicyError, PolicyNotFoundError, StorageError, TransferError
+from imujoco_minari.errors import JobError, PolicyError, PolicyNotFoundError, StorageError, TransferError
 from imujoco_minari.policies import Actor, Policy, RandomPolicy
 from imujoco_minari.registration import make
 from imujoco_minari.rollouts import evaluate
@@ -110,10 +110,33 @@ def test_what_has_changed_is_evaluated_anew(
     assert len(evaluated) == anew
 
 
-def test_several_processes_find_the_same(tmp_path: Path, policies: dict[str, Policy]) -> None:
+def test_it_does_not_matter_in_which_order_the_results_come(
+    tmp_path: Path, policies: dict[str, Policy], monkeypatch: pytest.MonkeyPatch
+) -> None:
     alone = evaluate_transfer(policies, VARIANTS[:2], tmp_path / "a.json", episodes=1)
-    together = evaluate_transfer(policies, VARIANTS[:2], tmp_path / "b.json", episodes=1, jobs=2)
-    assert alone == together
+    asked: list[int] = []
+
+    def backwards(function: Any, cells: list[Any], *, jobs: int) -> Any:
+        asked.append(jobs)
+        return ((number, function(cells[number])) for number in reversed(range(len(cells))))
+
+    monkeypatch.setattr(module, "run_jobs", backwards)
+    assert evaluate_transfer(policies, VARIANTS[:2], tmp_path / "b.json", episodes=1, jobs=2) == alone
+    assert asked == [2]
+
+
+def test_a_cell_that_is_lost_with_its_process_is_named_and_the_others_are_kept(
+    tmp_path: Path, policies: dict[str, Policy], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def losing(function: Any, cells: list[Any], *, jobs: int) -> Any:
+        yield 0, function(cells[0])
+        yield 1, JobError("lost with its worker")
+
+    monkeypatch.setattr(module, "run_jobs", losing)
+    with pytest.raises(TransferError, match="hopper-base on hopper-massdec_50_footgeom: lost"):
+        evaluate_transfer(policies, VARIANTS, tmp_path / "state.json", episodes=1, jobs=2)
+    kept = json.loads((tmp_path / "state.json").read_text())["cells"]
+    assert list(kept["hopper-base"]) == ["hopper-base"]
 
 
 def test_a_policy_of_another_robot_is_refused_before_the_work(
