@@ -21,7 +21,11 @@ from imujoco_minari.variants import CATEGORIES, ROBOTS, Variant, bases, catalogu
 
 ASSETS = Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets"
 MODELS = {"hopper": "hopper.xml", "halfcheetah": "half_cheetah.xml", "walker2d": "walker2d_v5.xml"}
-FEET = {"hopper": ["foot_geom"], "halfcheetah": ["bfoot", "ffoot"], "walker2d": ["foot_geom", "foot_left_geom"]}
+FEET = {
+    "hopper": ["foot_geom"],
+    "halfcheetah": ["bfoot", "ffoot"],
+    "walker2d": ["foot_geom", "foot_left_geom"],
+}
 HEALTHY = {"hopper": (0.7, np.inf), "walker2d": (0.8, 2.0)}
 
 # What MuJoCo derives at compilation from the quantities that follow it.
@@ -71,12 +75,20 @@ def fields(model: Any) -> dict[str, Any]:
             if isinstance(value, np.ndarray | int | float) and not isinstance(value, bool):
                 found[prefix + name] = np.asarray(value)
     # Counts of bytes and of characters in the file say nothing of physics.
-    return {n: v for n, v in found.items() if n not in ("buffer", "nbuffer", "narena", "signature", "names", "npaths", "paths")}
+    return {
+        n: v
+        for n, v in found.items()
+        if n not in ("buffer", "nbuffer", "narena", "signature", "names", "npaths", "paths")
+    }
 
 
 def changed_fields(before: Any, after: Any) -> set[str]:
     ours, theirs = fields(before), fields(after)
-    return {name for name in ours if not np.array_equal(ours[name], theirs[name], equal_nan=ours[name].dtype.kind == "f")}
+    return {
+        name
+        for name in ours
+        if not np.array_equal(ours[name], theirs[name], equal_nan=ours[name].dtype.kind == "f")
+    }
 
 
 def of(category: str) -> Any:
@@ -107,7 +119,9 @@ def test_joint_shrinks_one_range_and_keeps_the_rest_pose_in_it(variant: Variant)
     before, after = stock(robot), load(variant)
     joint = before.joint(named(before, "joint", name)).id
     assert after.jnt_range[joint] == pytest.approx(before.jnt_range[joint] * factor, rel=1e-12)
-    assert np.ptp(after.jnt_range[joint]) == pytest.approx(np.ptp(before.jnt_range[joint]) * factor, rel=1e-12)
+    assert np.ptp(after.jnt_range[joint]) == pytest.approx(
+        np.ptp(before.jnt_range[joint]) * factor, rel=1e-12
+    )
     others = np.arange(before.njnt) != joint
     assert np.array_equal(after.jnt_range[others], before.jnt_range[others])
     low, high = after.jnt_range[joint]
@@ -129,7 +143,9 @@ def segment(model: Any, data: Any, name: str) -> Any:
 
 
 def capsules(model: Any) -> list[str]:
-    return [model.geom(i).name for i in range(model.ngeom) if model.geom_type[i] == mujoco.mjtGeom.mjGEOM_CAPSULE]
+    return [
+        model.geom(i).name for i in range(model.ngeom) if model.geom_type[i] == mujoco.mjtGeom.mjGEOM_CAPSULE
+    ]
 
 
 def bottom(model: Any) -> float:
@@ -170,7 +186,9 @@ def test_length_stretches_one_limb_at_constant_density(variant: Variant) -> None
     body = before.geom(name).bodyid[0]
     density = before.body_mass[body] / volume
     assert after.body_mass[body] == pytest.approx(density * new_volume, rel=1e-9)
-    assert sorted(after.body_inertia[body]) == pytest.approx(sorted(density * np.array([along, across, across])), rel=1e-9)
+    assert sorted(after.body_inertia[body]) == pytest.approx(
+        sorted(density * np.array([along, across, across])), rel=1e-9
+    )
     others = np.arange(before.nbody) != body
     assert np.array_equal(after.body_mass[others], before.body_mass[others])
     assert np.array_equal(after.body_inertia[others], before.body_inertia[others])
@@ -240,7 +258,13 @@ def contacts(model: Any, seed: int, steps: int = 400) -> dict[frozenset[str], An
         mujoco.mj_step(model, data, nstep=4)
         for contact in data.contact:
             geoms = frozenset(model.geom(i).name for i in (contact.geom1, contact.geom2))
-            met[geoms] = (contact.friction.copy(), contact.dim, contact.solref.copy(), contact.solimp.copy(), contact.includemargin)
+            met[geoms] = (
+                contact.friction.copy(),
+                contact.dim,
+                contact.solref.copy(),
+                contact.solimp.copy(),
+                contact.includemargin,
+            )
     return met
 
 
@@ -283,7 +307,9 @@ def test_a_change_of_nothing_is_the_stock_environment_step_for_step(robot: str, 
 
 
 @pytest.mark.parametrize("variant", catalogue(), ids=str)
-def test_the_text_is_stable_and_loads_without_a_warning(variant: Variant, capfd: pytest.CaptureFixture[str]) -> None:
+def test_the_text_is_stable_and_loads_without_a_warning(
+    variant: Variant, capfd: pytest.CaptureFixture[str]
+) -> None:
     canonical_mjcf.cache_clear()
     first = canonical_mjcf(variant)
     canonical_mjcf.cache_clear()

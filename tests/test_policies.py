@@ -20,11 +20,15 @@ from imujoco_minari.variants import Variant
 HOPPER = Variant.parse("hopper-massdec_25_leggeom")
 
 
-def random_actor(observations: int = 11, actions: int = 3, widths: tuple[int, ...] = (256, 256), **fields: Any) -> Actor:
+def random_actor(
+    observations: int = 11, actions: int = 3, widths: tuple[int, ...] = (256, 256), **fields: Any
+) -> Actor:
     rng = np.random.default_rng(0)
     weights, size = {}, observations
     for i, width in enumerate(widths):
-        weights[f"latent_pi.{2 * i}.weight"] = rng.normal(size=(width, size)).astype(np.float32) / np.sqrt(size)
+        weights[f"latent_pi.{2 * i}.weight"] = rng.normal(size=(width, size)).astype(np.float32) / np.sqrt(
+            size
+        )
         weights[f"latent_pi.{2 * i}.bias"] = rng.normal(size=width).astype(np.float32) / 10
         size = width
     for head in ("mu", "log_std"):
@@ -38,7 +42,10 @@ def observations() -> Any:
     return np.random.default_rng(1).normal(size=(50, 11)) * 3
 
 
-@pytest.mark.parametrize(("widths", "activation"), [((256, 256), "ReLU"), ((64,), "Tanh"), ((32, 48, 16), "ELU"), ((40, 40), "SiLU")])
+@pytest.mark.parametrize(
+    ("widths", "activation"),
+    [((256, 256), "ReLU"), ((64,), "Tanh"), ((32, 48, 16), "ELU"), ((40, 40), "SiLU")],
+)
 def test_an_exported_zip_predicts_as_the_actor_acts_and_reads_back(
     tmp_path: Path, observations: Any, widths: tuple[int, ...], activation: str
 ) -> None:
@@ -71,7 +78,9 @@ def test_a_stochastic_actor_samples_about_its_mode_and_repeats_by_seed(observati
     assert np.array_equal(draws, again)
     assert np.ptp(draws, axis=0).min() > 0.1
     # tanh is monotonic, so the median of the actions is the action of the median.
-    assert np.median(draws, axis=0) == pytest.approx(mode.act(observations[0], np.random.default_rng(0)), abs=0.25)
+    assert np.median(draws, axis=0) == pytest.approx(
+        mode.act(observations[0], np.random.default_rng(0)), abs=0.25
+    )
 
 
 def test_a_random_policy_fills_the_action_space() -> None:
@@ -87,7 +96,10 @@ def test_a_random_policy_fills_the_action_space() -> None:
 def test_a_policy_of_another_robot_is_refused_with_the_robot_that_it_fits(tmp_path: Path) -> None:
     path = tmp_path / "walker.safetensors"
     save_file(dict(random_actor(17, 6).weights), path)
-    with pytest.raises(PolicyError, match="maps 17 observations to 6 actions, but hopper has 11 and 3; it fits halfcheetah and walker2d"):
+    with pytest.raises(
+        PolicyError,
+        match="maps 17 observations to 6 actions, but hopper has 11 and 3; it fits halfcheetah and walker2d",
+    ):
         load_policy(HOPPER, path=path)
     assert isinstance(load_policy("walker2d-base", path=path), Actor)
 
@@ -163,7 +175,10 @@ def test_broken_and_foreign_files_are_named(tmp_path: Path) -> None:
     [
         ({"mu.weight": np.zeros((3, 7), np.float32)}, "mu: takes 7 inputs"),
         ({"mu.bias": np.zeros(4, np.float32)}, "mu: weight .* make no layer"),
-        ({"log_std.weight": np.zeros((2, 256), np.float32), "log_std.bias": np.zeros(2, np.float32)}, "3 means but 2"),
+        (
+            {"log_std.weight": np.zeros((2, 256), np.float32), "log_std.bias": np.zeros(2, np.float32)},
+            "3 means but 2",
+        ),
         ({"mu.bias": np.array([0, np.nan, 0], np.float32)}, "not finite"),
         ({"extra.weight": np.zeros((1, 1), np.float32)}, "extra.weight is unexpected"),
     ],

@@ -91,7 +91,9 @@ def test_the_metadata_says_how_it_was_made(dataset: minari.MinariDataset) -> Non
     assert 0 < metadata["ref_min_score"] < 100
 
 
-def test_the_environment_is_recovered_by_a_process_that_knows_nothing_of_us(dataset: minari.MinariDataset) -> None:
+def test_the_environment_is_recovered_by_a_process_that_knows_nothing_of_us(
+    dataset: minari.MinariDataset,
+) -> None:
     code = (
         "import minari, sys\n"
         f"env = minari.load_dataset({ID!r}).recover_environment()\n"
@@ -124,7 +126,9 @@ def test_the_episodes_are_those_of_the_policy_in_the_environment(dataset: minari
         assert np.array_equal(observation, episode.observations[-1])
 
 
-def test_the_content_does_not_depend_on_the_number_of_jobs_nor_on_the_time(dataset: minari.MinariDataset, actor: Path) -> None:
+def test_the_content_does_not_depend_on_the_number_of_jobs_nor_on_the_time(
+    dataset: minari.MinariDataset, actor: Path
+) -> None:
     digest = dataset.storage.metadata["content_sha256"]
     options = {"tier": "mine", "policy": actor, "seed": 3, "force": True}
     for jobs in (1, 2):

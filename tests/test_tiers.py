@@ -38,7 +38,12 @@ def trained(home: Path) -> None:
         save_file(dict(scaled(1 + steps / 1000).weights), folder / f"hopper-base.rung-{steps}.safetensors")
         ladder.append({"steps": steps, "evaluation": {"return_mean": value}})
     evaluation = {"return_mean": 1000.0, "episodes": 100}
-    record = {"algorithm": "TQC", "evaluation": evaluation, "random": {"return_mean": 20.0, "episodes": 100}, "ladder": ladder}
+    record = {
+        "algorithm": "TQC",
+        "evaluation": evaluation,
+        "random": {"return_mean": 20.0, "episodes": 100},
+        "ladder": ladder,
+    }
     (folder / f"{VARIANT}.json").write_text(json.dumps(record))
 
 
@@ -89,7 +94,9 @@ def test_a_ranked_dataset_is_sound_and_carries_rank_and_return_and_the_same_with
 
 
 def test_a_tier_that_cannot_be_made_says_what_can() -> None:
-    with pytest.raises(PolicyNotFoundError, match=r"'medum' \(did you mean 'medium'\?\); valid: expert, medium, random"):
+    with pytest.raises(
+        PolicyNotFoundError, match=r"'medum' \(did you mean 'medium'\?\); valid: expert, medium, random"
+    ):
         made("medum", 1)
     with pytest.raises(PolicyNotFoundError, match="--record-replay"):
         made("replay", 1)

@@ -66,10 +66,9 @@ def test_parsing_undoes_formatting(variant: Variant) -> None:
 def test_any_text_is_a_variant_or_a_variant_error(text: str) -> None:
     try:
         variant = Variant.parse(text)
-    except VariantError as error:
-        assert "\n" not in str(error) or "\n" in text
-    else:
-        assert str(variant) in text
+    except VariantError:
+        return
+    assert str(variant) in text
 
 
 @pytest.mark.parametrize(
