@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from imujoco_minari.policies import policies_folder
+
 # How long an example takes says nothing on a busy machine.
 settings.register_profile("untimed", deadline=None)
 settings.load_profile("untimed")
@@ -67,3 +69,11 @@ def small_datasets(root: Path, _small_datasets: Path) -> list[str]:
     """Ids of three datasets in the test's root: 8, 4 and 4 episodes of random Hoppers, all terminated."""
     shutil.copytree(_small_datasets, root)
     return list(SMALL_DATASETS)
+
+
+@pytest.fixture
+def unshipped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hide the policies that the package ships: more of them land with every release."""
+    monkeypatch.setattr(
+        "imujoco_minari.policies.experts._places", lambda folder: (folder or policies_folder(),)
+    )

@@ -37,14 +37,6 @@ TINY: dict[str, Any] = {
 }
 
 
-@pytest.fixture
-def unshipped(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Hide the policies that the package ships, so that there is something left to train."""
-    monkeypatch.setattr(
-        "imujoco_minari.policies.experts._places", lambda folder: (folder or policies_folder(),)
-    )
-
-
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_a_killed_run_ends_in_the_weights_of_one_that_was_not(tmp_path: Path) -> None:
     task = Task(BASE, hyperparameters("hopper", SCRATCH, **TINY))
