@@ -25,6 +25,7 @@ from imujoco_minari.policies import expert_record, expert_variants, policies_fol
 from imujoco_minari.variants import Variant
 
 if TYPE_CHECKING:
+    from imujoco_minari.training.hyperparameters import Hyperparameters
     from imujoco_minari.training.run import Progress
     from imujoco_minari.training.sweep import Plan, Trained
 
@@ -108,32 +109,36 @@ def _record(chosen: list[Variant], plan: Plan, as_json: bool) -> None:
     for variant in chosen:
         # All of the run is wanted, not the shortest way to a target.
         whole = replace(task(variant, plan), target=float("inf"))
-        outcomes.append(record_replay(whole, plan.state / f"{variant}-replay", on_interval=_teller(as_json)))
+        tell = _teller(whole.settings, as_json)
+        outcomes.append(record_replay(whole, plan.state / f"{variant}-replay", on_interval=tell))
         if not as_json:
             report(outcomes[-1], quiet=False)
     if as_json:
         print_json([vars(outcome) for outcome in outcomes])
 
 
-def _teller(quiet: bool) -> Callable[[Progress], None]:
-    """Return what prints a line after each evaluation."""
+def _teller(hyperparameters: Hyperparameters, quiet: bool) -> Callable[[Progress], None]:
+    """Return what prints a line after each evaluation, with the time that is left at most."""
 
     def tell(state: Progress) -> None:
         last = state.evaluations[-1] if state.evaluations else None
         if quiet or last is None or last["steps"] != state.steps:
             return
+        steps_left = max(0, hyperparameters.max_steps - state.steps)
+        left = steps_left * state.wall_seconds / state.steps
         say(
             f"{state.steps:>9,} steps  return {last['return_mean']:8.1f} ± {last['return_std']:6.1f}"
-            f"  best {state.best_score:8.1f}  {state.wall_seconds / 60:6.1f} min"
+            f"  best {state.best_score:8.1f}  {state.wall_seconds / 60:6.1f} min, "
+            f"at most {left / 60:.0f} left"
         )
 
     return tell
 
 
 def _train_one(variant: Variant, plan: Plan, quiet: bool) -> Trained:
-    from imujoco_minari.training.sweep import train
+    from imujoco_minari.training.sweep import settings, train
 
-    outcome = train(variant, plan, _teller(quiet))
+    outcome = train(variant, plan, _teller(settings(variant, plan), quiet))
     _report(outcome, quiet)
     return outcome
 

@@ -20,7 +20,7 @@ from imujoco_minari.errors import ImujocoError, JobError, PolicyNotFoundError, T
 from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies import expert_agent, expert_record, policies_folder
 from imujoco_minari.training.agents import load_arrays, save_arrays
-from imujoco_minari.training.hyperparameters import SCRATCH, WARM, hyperparameters
+from imujoco_minari.training.hyperparameters import SCRATCH, WARM, Hyperparameters, hyperparameters
 from imujoco_minari.training.ladder import keep_rungs, measure_ladder, rungs_of
 from imujoco_minari.training.run import Progress, Run, Task, load_progress, write_json
 from imujoco_minari.variants import BASE, Variant
@@ -167,10 +167,7 @@ def task(variant: Variant, plan: Plan) -> Task:
     agent = expert_agent(variant.base, plan.policies)
     whole = float("inf") if plan.target is None else plan.target
     if plan.scratch or (variant.category == BASE and not (plan.improve and record)):
-        settings = hyperparameters(variant.robot, SCRATCH, **plan.changes)
-        return Task(variant, settings, plan.seed, target=whole)
-    start = SCRATCH if variant.category == BASE else WARM
-    settings = hyperparameters(variant.robot, start, **plan.changes)
+        return Task(variant, settings(variant, plan), plan.seed, target=whole)
     if not record or agent is None:
         raise PolicyNotFoundError(
             f"{variant} starts from the agent of {variant.base}, which is not there: "
@@ -179,13 +176,19 @@ def task(variant: Variant, plan: Plan) -> Task:
     target = TARGET_SHARE * _score(record) if plan.target is None and not plan.improve else whole
     return Task(
         variant,
-        settings,
+        settings(variant, plan),
         plan.seed,
         start=str(variant.base),
         agent=load_arrays(agent),
         start_sha256=record["weights_sha256"],
         target=target,
     )
+
+
+def settings(variant: Variant, plan: Plan) -> Hyperparameters:
+    """Return the hyperparameters that the plan has for a variant."""
+    start = SCRATCH if plan.scratch or variant.category == BASE else WARM
+    return hyperparameters(variant.robot, start, **plan.changes)
 
 
 def _in_order(variants: Sequence[Variant], plan: Plan) -> Iterator[list[Variant]]:
