@@ -96,7 +96,7 @@ class Variant:
             raise VariantError(f"a variant id is text, not {type(text).__name__}")
         name = text.removeprefix(f"{NAMESPACE}/").removesuffix("-v0")
         robot, _, rest = name.partition("-")
-        if rest == BASE and robot in ROBOTS:
+        if rest == BASE:
             return cls(robot, BASE, 0, "")
         match = _ID.fullmatch(name)
         if match is None:

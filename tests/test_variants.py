@@ -84,9 +84,10 @@ def test_any_text_is_a_variant_or_a_variant_error(text: str) -> None:
         ("hopper-jointinc_25_legjoint", ["can only shrink"]),
         ("hopper-massdec_025_leggeom", ["leading zeros"]),
         ("hopper-massdec_0_leggeom", ["inc_0"]),
+        ("ant-base", ["unknown robot 'ant'", "valid: hopper, halfcheetah, walker2d"]),
         ("hopper-leggeom", ["malformed", "as in hopper-massdec_25_leggeom"]),
         ("hopper", ["malformed"]),
-        ("../hopper-base", ["malformed"]),
+        ("../hopper-base", ["unknown robot '../hopper'"]),
         ("", ["malformed"]),
     ],
 )
