@@ -48,9 +48,6 @@ def test_publish(jobs: str, whole_group: bool, root: Path) -> None:
     (os.killpg if whole_group else os.kill)(process.pid, signal.SIGINT)
     output, errors = process.communicate(timeout=60)
     assert (process.returncode, output) == (130, "")
-    # One interrupt in some ninety catches h5py while it closes a file, and h5py then prints that it was
-    # interrupted; nothing follows from it, and the promises do not cover it.
-    assert "Traceback" not in errors or "h5py" in errors
     assert minari.list_local_datasets() == {}
     end = time.monotonic() + 20
     while running(process.pid) and time.monotonic() < end:
@@ -58,3 +55,6 @@ def test_publish(jobs: str, whole_group: bool, root: Path) -> None:
     assert running(process.pid) == []
     roots.tidy()
     assert not (root / roots.STAGING).exists()
+    if "Traceback" in errors and "h5py" in errors:
+        pytest.xfail("known defect: an interrupt that catches h5py in a call to our file makes h5py print it")
+    assert "Traceback" not in errors
