@@ -11,8 +11,11 @@ simply handed out again.
 from __future__ import annotations
 
 import os
+import signal
+import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
@@ -23,9 +26,12 @@ Result = TypeVar("Result")
 # A job's number, and its result or what it raised.
 _Called: TypeAlias = tuple[int, Any, Exception | None]
 
-BACKENDS = ("loky", "multiprocessing", "ray", "dask")
+BACKENDS = ("loky", "ray", "dask")
 # How often a job may take its worker down before it is given up.
 ATTEMPTS = 3
+
+# Seconds between a worker's looks at whether the process that it works for is still there.
+_LOOK_EVERY = 0.5
 
 # What decides where things are read and written, and so must be the same on every worker.
 _PLACES = ("MINARI_DATASETS_PATH", "IMUJOCO_HOME")
@@ -45,8 +51,8 @@ def run_jobs(
         arguments: one a job.
         jobs: how many are worked on at once. With 1 they are worked on here, in their order; on a
             cluster 1 means all of its processors.
-        backend: ``loky`` (processes of this machine, the default), ``multiprocessing``, or a running
-            cluster: ``ray`` or ``dask``.
+        backend: ``loky`` (processes of this machine, the default), or a running cluster: ``ray`` or
+            ``dask``.
 
     Yields:
         Number and result; a :class:`JobError` as the result of a job whose workers were lost each time.
@@ -70,7 +76,8 @@ def run_jobs(
     if backend == "ray":
         yield from _run_on_ray(function, places, arguments)
         return
-    call = partial(_call, function, places)
+    owner = os.getpid() if backend != "dask" else None
+    call = partial(_call, function, places, owner=owner)
     waiting, alone, losses = dict(enumerate(arguments)), False, 0
     while waiting:
         before, lost = len(waiting), None
@@ -141,8 +148,15 @@ def _run_on_ray(
 
 
 def _call(
-    function: Callable[[Any], Any], places: dict[str, str | None], number: int, argument: Any
+    function: Callable[[Any], Any],
+    places: dict[str, str | None],
+    number: int,
+    argument: Any,
+    owner: int | None = None,
 ) -> _Called:
+    """Call ``function`` in a worker, which ends with the process ``owner`` whose child it is."""
+    if owner is not None:
+        _end_with(owner)
     for name, place in places.items():
         # A worker lives on from an earlier call, or on another machine, with an environment of its own.
         if place is None:
@@ -153,6 +167,24 @@ def _call(
         return number, function(argument), None
     except Exception as error:
         return number, None, error
+
+
+@cache
+def _end_with(owner: int) -> None:
+    """Kill this process, from now on, as soon as its parent ``owner`` is gone.
+
+    A killed process cannot tell its workers, and they would write and train on with nobody to wait for
+    them. A thread that looks works on every system, and whichever thread of the parent started us.
+    """
+
+    def watch() -> None:
+        while os.getppid() == owner:
+            time.sleep(_LOOK_EVERY)
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    # Where a server in between starts the workers, it ends them.
+    if os.getppid() == owner:
+        threading.Thread(target=watch, name="ends with its owner", daemon=True).start()
 
 
 def _given_up(error: Exception | None) -> JobError:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import h5py
@@ -52,6 +55,36 @@ def die(number):
     return number
 
 
+# Two workers that work for much longer than a test.
+WORK_ON = """
+import os, pathlib, sys, time
+from imujoco_minari.parallel import run_jobs
+
+def work(folder):
+    pathlib.Path(folder, f"worker-{os.getpid()}").touch()
+    time.sleep(600)
+
+if __name__ == "__main__":
+    list(run_jobs(work, sys.argv[1:] * 2, jobs=2))
+"""
+
+
+def alive(pid):
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
+
+
+def wait_for(condition):
+    for _ in range(600):
+        if condition():
+            return
+        time.sleep(0.1)
+    pytest.fail("not so after a minute")
+
+
 def root_seen(_):
     return str(roots.datasets_root())
 
@@ -93,6 +126,18 @@ def test_workers_that_live_on_see_the_present_root(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MINARI_DATASETS_PATH", "relative")
     assert {result for _, result in run_jobs(root_seen, [0, 1], jobs=2)} == {str(tmp_path / "relative")}
+
+
+def test_workers_end_with_the_process_that_is_killed(tmp_path):
+    script = tmp_path / "owner.py"
+    script.write_text(WORK_ON)
+    process = subprocess.Popen([sys.executable, str(script), str(tmp_path)])
+    wait_for(lambda: len(list(tmp_path.glob("worker-*"))) == 2)
+    workers = [int(path.name.removeprefix("worker-")) for path in tmp_path.glob("worker-*")]
+    assert all(map(alive, workers))
+    process.kill()
+    process.wait()
+    wait_for(lambda: not any(map(alive, workers)))
 
 
 def test_an_unknown_back_end_is_named_with_the_valid_ones():

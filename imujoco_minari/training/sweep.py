@@ -22,7 +22,7 @@ from imujoco_minari.policies import expert_agent, expert_record, policies_folder
 from imujoco_minari.training.agents import load_arrays, save_arrays
 from imujoco_minari.training.hyperparameters import SCRATCH, WARM, Hyperparameters, hyperparameters
 from imujoco_minari.training.ladder import keep_rungs, measure_ladder, rungs_of
-from imujoco_minari.training.run import Progress, Run, Task, load_progress, write_json
+from imujoco_minari.training.run import Run, Task, load_progress, write_json
 from imujoco_minari.variants import BASE, Variant
 
 # A variant's run ends when its actor is as good as this share of the base expert's return.
@@ -107,7 +107,7 @@ def train_all(
     """
     for group in _in_order(variants, plan):
         apart = backend is not None or (jobs > 1 and len(group) > 1)
-        work = partial(_attempt, plan=plan, owner=os.getpid() if apart and backend is None else None)
+        work = partial(_attempt, plan=plan)
         outcomes = run_jobs(work, group, jobs=jobs if apart else 1, backend=backend)
         for number, outcome in outcomes:
             yield Trained(group[number], error=str(outcome)) if isinstance(outcome, JobError) else outcome
@@ -142,17 +142,11 @@ def _score(record: Mapping[str, Any]) -> float:
     return float(record["evaluation"]["return_mean"] - record["evaluation"]["return_std"])
 
 
-def _attempt(variant: Variant, plan: Plan, owner: int | None = None) -> Trained:
-    """Train in a process of the pool that the process ``owner`` keeps; None when it is no pool's."""
-
-    def stop_without_owner(progress: Progress) -> None:
-        if owner is not None and os.getppid() != owner:
-            raise TrainingError("the process that started this run is gone")
-
+def _attempt(variant: Variant, plan: Plan) -> Trained:
     # Processes of a pool are used again, and must not sink deeper with every variant.
     os.nice(max(0, plan.nice - max(0, os.nice(0))))
     try:
-        return train(variant, plan, stop_without_owner)
+        return train(variant, plan)
     except ImujocoError as error:
         return Trained(variant, error=str(error))
 
