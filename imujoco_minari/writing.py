@@ -2,15 +2,22 @@
 
 HDF5 cannot close a file that it cannot write to the end: it complains at every object that is let go,
 and crashes as the process ends. So it writes through a file of ours, which keeps the first failure to
-itself, and the failure is raised when HDF5 has closed the file in peace.
+itself, and the failure is raised when HDF5 has closed the file in peace. Nor can a Ctrl-C pass through
+HDF5, which calls our file: one that comes at such a moment comes again a moment later.
 """
 
 from __future__ import annotations
 
+import _thread
+import inspect
 import io
+import signal
+import threading
+import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import h5py
@@ -43,6 +50,50 @@ class _QuietFile(io.FileIO):
         self.failure = error
 
 
+# Code that an interrupt must not leave by an exception: HDF5 calls it, it opens or closes the file, or
+# it is called as an object goes, when Python would print the exception and go on.
+_UNDISTURBED = {
+    inspect.unwrap(function).__code__
+    for function in (_QuietFile.write, _QuietFile.truncate, h5py.File.__init__, h5py.File.close)
+}
+_UNDISTURBED_FILE = weakref.__file__
+
+
+@contextmanager
+def _polite_interrupts() -> Iterator[None]:
+    """Raise KeyboardInterrupt at once, or, where it would pass through HDF5, a moment later."""
+    again: list[threading.Timer] = []
+
+    def interrupt(signal_number: int, frame: FrameType | None) -> None:
+        inner = frame
+        while inner is not None:
+            if inner.f_code in _UNDISTURBED or inner.f_code.co_filename == _UNDISTURBED_FILE:
+                again.append(threading.Timer(0.01, _thread.interrupt_main, [signal_number]))
+                again[-1].start()
+                return
+            inner = inner.f_back
+        again.clear()
+        signal.default_int_handler(signal_number, frame)
+
+    # Whoever has a handler of their own, or calls from another thread, gets no KeyboardInterrupt anyway.
+    if (
+        threading.current_thread() is not threading.main_thread()
+        or signal.getsignal(signal.SIGINT) is not signal.default_int_handler
+    ):
+        yield
+        return
+    signal.signal(signal.SIGINT, interrupt)
+    try:
+        try:
+            yield
+        finally:
+            # The last may still be on its way, and is due here.
+            while again:
+                again.pop().join()
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
 @contextmanager
 def writing(path: Path, *, new: bool = False) -> Iterator[h5py.File]:
     """Open an HDF5 file to add to it, or, with ``new`` or where it is empty, to write it from its beginning.
@@ -51,7 +102,7 @@ def writing(path: Path, *, new: bool = False) -> Iterator[h5py.File]:
         OSError: when something could not be written, at the latest when the file is closed.
     """
     new = new or path.stat().st_size == 0
-    with _QuietFile(path, "w+" if new else "r+") as raw:
+    with _polite_interrupts(), _QuietFile(path, "w+" if new else "r+") as raw:
         try:
             with h5py.File(raw, "w" if new else "r+", track_order=True) as file:
                 yield file

@@ -67,7 +67,7 @@ def test_a_variant_is_trained_from_its_base_and_published(tmp_path: Path, unship
     ]
     record = dict(expert_record(LIGHT_LEG))
     assert record["start"] == "hopper-base"
-    assert record["algorithm"] == "TQC"
+    assert record["algorithm"] == "CrossQ"
     assert record["steps_trained"] >= 350
     assert set(expert_variants()) >= {BASE, LIGHT_LEG}
     # The record's evaluation is that of the very weights that lie beside it.
@@ -97,7 +97,7 @@ def test_a_variant_is_trained_from_its_base_and_published(tmp_path: Path, unship
     assert not (tmp_path / "state" / "hopper-base").exists()
     published = publish(LIGHT_LEG, episodes=3)
     metadata = minari.load_dataset(published.dataset_id).storage.metadata
-    assert metadata["algorithm_name"] == "TQC"
+    assert metadata["algorithm_name"] == "CrossQ"
     assert metadata["ref_max_score"] == record["evaluation"]["return_mean"]
     assert metadata["ref_min_score"] == record["random"]["return_mean"]
 

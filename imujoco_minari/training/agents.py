@@ -23,11 +23,11 @@ _LAYERS = {
     "Dense_2": "mu",
     "Dense_3": "log_std",
 }
-_STATES = ("actor", "qf1", "qf2", "entropy")
+_STATES = ("actor", "qf", "entropy")
 
 
 def make_agent(env: Any, settings: Hyperparameters, seed: int) -> Any:
-    """Return a new ``sbx.TQC`` on ``env`` (a Gymnasium environment or a vectorised one).
+    """Return a new ``sbx.CrossQ`` on ``env`` (a Gymnasium environment or a vectorised one).
 
     Raises:
         DependencyError: when SBX is not installed.
@@ -36,23 +36,27 @@ def make_agent(env: Any, settings: Hyperparameters, seed: int) -> Any:
     os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
     try:
         import jax
-        from sbx import TQC
+        from sbx import CrossQ
     except ImportError:
         raise missing_dependency("sbx-rl", "train", "training") from None
     if jax.config.jax_compilation_cache_dir is None:
         # A sweep compiles the same few programs for every variant of a robot.
         jax.config.update("jax_compilation_cache_dir", str(policies_folder().parent / "compiled"))
-    return TQC(
+    return CrossQ(
         "MlpPolicy",
         env,
         learning_rate=settings.learning_rate,
         learning_starts=0,
         batch_size=settings.batch_size,
         gamma=settings.gamma,
-        tau=settings.tau,
         train_freq=settings.steps_per_call,
         gradient_steps=settings.updates_per_call,
-        top_quantiles_to_drop_per_net=settings.top_quantiles_to_drop_per_net,
+        policy_delay=settings.policy_delay,
+        policy_kwargs={
+            # Without normalisation in the actor it is SAC's, and needs nothing but its weights.
+            "batch_norm_actor": False,
+            "net_arch": {"pi": [256, 256], "qf": [settings.critic_width] * 2},
+        },
         buffer_size=min(settings.max_steps + settings.evaluate_every, 1_000_000),
         seed=seed,
     )
@@ -87,8 +91,8 @@ def restore_agent(agent: Any, arrays: dict[str, Array]) -> None:
                 raise PolicyError(f"the stored agent does not fit: {name}/{path}")
             own[path] = value
         restored[name] = from_state_dict(state, unflatten_dict(own, sep="/"))
-    agent.policy.actor_state, agent.policy.qf1_state = restored["actor"], restored["qf1"]
-    agent.policy.qf2_state, agent.ent_coef_state = restored["qf2"], restored["entropy"]
+    agent.policy.actor_state, agent.policy.qf_state = restored["actor"], restored["qf"]
+    agent.ent_coef_state = restored["entropy"]
     if "key" in arrays:
         import jax.numpy as jnp
 
@@ -119,7 +123,7 @@ def load_arrays(path: Path) -> dict[str, Array]:
 
 def actor_arrays(agent: Any) -> dict[str, Array]:
     """Return the agent's actor under Stable-Baselines3's names, rounded to float16 as it will be shipped."""
-    layers = agent.policy.actor_state.params["params"]
+    layers = agent.policy.actor_state.params
     arrays: dict[str, Array] = {}
     for ours, theirs in _LAYERS.items():
         arrays[f"{theirs}.weight"] = np.array(layers[ours]["kernel"], dtype=np.float16).T
@@ -133,6 +137,5 @@ def actor_of(arrays: dict[str, Array], algorithm: str) -> Actor:
 
 
 def _states(agent: Any) -> dict[str, Any]:
-    policy = agent.policy
-    states = (policy.actor_state, policy.qf1_state, policy.qf2_state, agent.ent_coef_state)
+    states = (agent.policy.actor_state, agent.policy.qf_state, agent.ent_coef_state)
     return dict(zip(_STATES, states, strict=True))

@@ -19,13 +19,13 @@ class Hyperparameters:
 
     Attributes:
         algorithm: the name that records and datasets state.
-        top_quantiles_to_drop_per_net: of TQC's 25 quantiles a critic.
+        critic_width: units in each of a critic's two hidden layers.
         steps_per_call: environment steps between two calls of the update loop.
         updates_per_call: gradient steps in each call.
+        policy_delay: updates of the critics for each of the actor.
         batch_size: transitions an update.
         learning_rate: of actor, critics and entropy coefficient.
         gamma: discount factor.
-        tau: rate at which target critics follow.
         exploration_steps: steps before the first update, random or of the loaded policy.
         evaluate_every: steps between two evaluations, which are also the checkpoints.
         max_steps: where a run ends that has not reached its target.
@@ -35,13 +35,13 @@ class Hyperparameters:
     """
 
     algorithm: str
-    top_quantiles_to_drop_per_net: int
+    critic_width: int
     steps_per_call: int
     updates_per_call: int
+    policy_delay: int
     batch_size: int
     learning_rate: float
     gamma: float
-    tau: float
     exploration_steps: int
     evaluate_every: int
     max_steps: int
