@@ -16,10 +16,20 @@ from imujoco_minari.policies import expert_actor, expert_record, expert_variants
 from imujoco_minari.publishing import publish
 from imujoco_minari.registration import make
 from imujoco_minari.rollouts import evaluate
-from imujoco_minari.training.agents import agent_arrays, load_arrays, make_agent, restore_agent, save_arrays
+from imujoco_minari.training import sweep
+from imujoco_minari.training.agents import (
+    actor_of,
+    agent_actor,
+    agent_arrays,
+    load_arrays,
+    make_agent,
+    restore_agent,
+    save_arrays,
+)
 from imujoco_minari.training.hyperparameters import SCRATCH, WARM, hyperparameters
 from imujoco_minari.training.replay import record_replay
 from imujoco_minari.training.run import CONFIRMING_SEED, Run, Task
+from imujoco_minari.training.starts import START_SEED, best_start
 from imujoco_minari.training.sweep import Plan, train, train_all
 from imujoco_minari.variants import ROBOTS, Variant
 from imujoco_minari.verification import verify
@@ -100,6 +110,44 @@ def test_a_variant_is_trained_from_its_base_and_published(tmp_path: Path, unship
     assert metadata["algorithm_name"] == "CrossQ"
     assert metadata["ref_max_score"] == record["evaluation"]["return_mean"]
     assert metadata["ref_min_score"] == record["random"]["return_mean"]
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_whole_robot_gets_a_generalist_to_start_from(
+    tmp_path: Path, unshipped: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    variants = (LIGHT_LEG, Variant.parse("hopper-massinc_200_torsogeom"))
+    monkeypatch.setattr(sweep, "catalogue", lambda robot: variants)
+    plan = Plan(tmp_path / "state", changes=TINY, target=1e9)
+    outcomes = list(train_all(variants, plan))
+    assert [str(outcome.variant) for outcome in outcomes] == [
+        "hopper-base",
+        "hopper-all",
+        *map(str, variants),
+    ]
+    assert [outcome.error for outcome in outcomes] == [""] * 4
+    generalist = outcomes[1].record
+    assert generalist["start"] == "hopper-base"
+    assert generalist["start_sha256"] == outcomes[0].record["weights_sha256"]
+    agent = load_arrays(policies_folder() / "hopper-all.agent.safetensors")
+    assert actor_of(agent_actor(agent), "CrossQ").sha256 == generalist["weights_sha256"]
+    # A generalist is an expert of nothing.
+    assert set(expert_variants()) >= {BASE, *variants}
+    shas = {"hopper-base": outcomes[0].record["weights_sha256"], "hopper-all": generalist["weights_sha256"]}
+    agents = {name: load_arrays(policies_folder() / f"{name}.agent.safetensors") for name in shas}
+    for variant in variants:
+        # TINY's settings do not reach this choice, which takes five episodes.
+        scores = {
+            name: evaluate(
+                make(variant), actor_of(agent_actor(agents[name]), "CrossQ"), episodes=5, seed=START_SEED
+            )
+            for name in shas
+        }
+        better = max(shas, key=lambda name: scores[name].return_mean - scores[name].return_std)
+        assert best_start(variant).name == expert_record(variant)["start"] == better
+        assert best_start(variant).sha256 == expert_record(variant)["start_sha256"] == shas[better]
+    # All is there: nothing is trained again.
+    assert [outcome.created for outcome in train_all(variants, plan)] == [False, False]
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")

@@ -2,8 +2,8 @@
 
 from imujoco_minari.policies.actors import LANES, SIZES, Actor, Array, Policy, RandomPolicy
 from imujoco_minari.policies.experts import (
+    agent_file,
     expert_actor,
-    expert_agent,
     expert_record,
     expert_variants,
     find_policy_file,
@@ -19,8 +19,8 @@ __all__ = [
     "Array",
     "Policy",
     "RandomPolicy",
+    "agent_file",
     "expert_actor",
-    "expert_agent",
     "expert_record",
     "expert_variants",
     "find_policy_file",

@@ -84,12 +84,21 @@ def expert_record(variant: Variant, folder: Path | None = None) -> Mapping[str, 
 def expert_variants() -> tuple[Variant, ...]:
     """Return the variants that have an expert policy, the user's or shipped, sorted."""
     names = {path.name for place in _places(None) if place.is_dir() for path in place.glob("*-*.json")}
-    return tuple(sorted(Variant.parse(name.removesuffix(".json")) for name in names))
+    return tuple(
+        sorted(
+            Variant.parse(name.removesuffix(".json")) for name in names if not name.endswith(".agent.json")
+        )
+    )
 
 
-def expert_agent(variant: Variant, folder: Path | None = None) -> Path | None:
-    """Return the file of the whole agent that variants of a base start from, or None."""
-    return find_policy_file(f"{variant}.agent.safetensors", folder)
+def agent_file(name: Variant | str, folder: Path | None = None) -> Path | None:
+    """Return the file of a whole agent that variants start from, or None.
+
+    Args:
+        name: a base, or ``<robot>-all`` for the agent that was trained over all of a robot's variants.
+        folder: look there and in the package; None looks in the user's policies and in the package.
+    """
+    return find_policy_file(f"{name}.agent.safetensors", folder)
 
 
 def policies_folder() -> Path:

@@ -123,12 +123,16 @@ def load_arrays(path: Path) -> dict[str, Array]:
 
 def actor_arrays(agent: Any) -> dict[str, Array]:
     """Return the agent's actor under Stable-Baselines3's names, rounded to float16 as it will be shipped."""
-    layers = agent.policy.actor_state.params
-    arrays: dict[str, Array] = {}
+    return agent_actor(agent_arrays(agent))
+
+
+def agent_actor(arrays: dict[str, Array]) -> dict[str, Array]:
+    """Return the actor among the arrays of :func:`agent_arrays`, as :func:`actor_arrays` does."""
+    actor: dict[str, Array] = {}
     for ours, theirs in _LAYERS.items():
-        arrays[f"{theirs}.weight"] = np.array(layers[ours]["kernel"], dtype=np.float16).T
-        arrays[f"{theirs}.bias"] = np.array(layers[ours]["bias"], dtype=np.float16)
-    return arrays
+        actor[f"{theirs}.weight"] = arrays[f"actor/params/{ours}/kernel"].astype(np.float16).T
+        actor[f"{theirs}.bias"] = arrays[f"actor/params/{ours}/bias"].astype(np.float16)
+    return actor
 
 
 def actor_of(arrays: dict[str, Array], algorithm: str) -> Actor:

@@ -10,7 +10,7 @@ from typing import Any
 
 from imujoco_minari.errors import CatalogueError
 
-SCRATCH, WARM = "scratch", "warm"
+SCRATCH, WARM, GENERALIST, IMPROVE = _STARTS = ("scratch", "warm", "generalist", "improve")
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,13 @@ class Hyperparameters:
 
 
 def hyperparameters(robot: str, start: str, **changes: Any) -> Hyperparameters:
-    """Return the hyperparameters for ``robot`` and ``start`` (``scratch`` or ``warm``), with ``changes``.
+    """Return the hyperparameters for ``robot`` and ``start``, with ``changes``.
+
+    Args:
+        robot: its name.
+        start: ``scratch``, ``warm`` (from another's agent), ``generalist`` (that too, over all variants)
+            or ``improve`` (from its own agent).
+        **changes: what differs from the file.
 
     Raises:
         CatalogueError: when a key is unknown.
@@ -63,7 +69,7 @@ def hyperparameters(robot: str, start: str, **changes: Any) -> Hyperparameters:
     table = _table()
     own = table.get(robot, {})
     layers = (table["all"], table[start], own, own.get(start, {}), changes)
-    values = {key: value for layer in layers for key, value in layer.items() if key not in (SCRATCH, WARM)}
+    values = {key: value for layer in layers for key, value in layer.items() if key not in _STARTS}
     known = {field.name for field in fields(Hyperparameters)}
     unknown = sorted(set(values) - known)
     if unknown:

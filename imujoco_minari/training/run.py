@@ -20,7 +20,7 @@ import numpy as np
 
 from imujoco_minari.policies import Array
 from imujoco_minari.references import random_evaluation
-from imujoco_minari.registration import make
+from imujoco_minari.registration import collection_spec, make
 from imujoco_minari.rollouts import Evaluation, episode_seed, evaluate
 from imujoco_minari.training.agents import (
     actor_arrays,
@@ -47,6 +47,8 @@ class Task:
     Attributes:
         variant: whose environment.
         settings: the hyperparameters.
+        among: train and judge in the environments of all of these, one drawn for each episode, and not
+            in ``variant``'s.
         seed: of all that is random.
         start: name of the agent that the run starts from, ``scratch`` or a base robot.
         agent: its arrays; empty from scratch.
@@ -61,6 +63,15 @@ class Task:
     agent: dict[str, Array] = field(default_factory=dict, repr=False)
     start_sha256: str = ""
     target: float = float("inf")
+    among: tuple[Variant, ...] = ()
+
+    def environment(self) -> gym.Env[Any, Any]:
+        """Make the environment to train and to judge in."""
+        if self.among:
+            return gym.make(
+                collection_spec(f"{self.variant.robot}-all", self.among), disable_env_checker=True
+            )
+        return make(self.variant, disable_env_checker=True)
 
 
 @dataclass
@@ -121,8 +132,8 @@ class Run:
         self.task, self.folder, self.progress = task, folder, Progress()
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "ladder").mkdir(exist_ok=True)
-        self._env = SeededResets(wrap(make(task.variant, disable_env_checker=True)), task.seed)
-        self._judge = make(task.variant, disable_env_checker=True)
+        self._env = SeededResets(wrap(task.environment()), task.seed)
+        self._judge = task.environment()
         self._agent = make_agent(self._env, task.settings, task.seed)
         self._checkpoint_file = folder / _CHECKPOINT
         if self._checkpoint_file.is_file():

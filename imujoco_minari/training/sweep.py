@@ -16,14 +16,22 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from imujoco_minari.errors import ImujocoError, JobError, PolicyNotFoundError, TrainingError
+from imujoco_minari.errors import ImujocoError, JobError, TrainingError
 from imujoco_minari.parallel import run_jobs
-from imujoco_minari.policies import expert_agent, expert_record, policies_folder
+from imujoco_minari.policies import expert_record, policies_folder
 from imujoco_minari.training.agents import load_arrays, save_arrays
-from imujoco_minari.training.hyperparameters import SCRATCH, WARM, Hyperparameters, hyperparameters
+from imujoco_minari.training.hyperparameters import (
+    GENERALIST,
+    IMPROVE,
+    SCRATCH,
+    WARM,
+    Hyperparameters,
+    hyperparameters,
+)
 from imujoco_minari.training.ladder import keep_rungs, measure_ladder, rungs_of
 from imujoco_minari.training.run import Run, Task, load_progress, write_json
-from imujoco_minari.variants import BASE, Variant
+from imujoco_minari.training.starts import base_start, best_start, generalist_name, generalist_record
+from imujoco_minari.variants import BASE, Variant, catalogue
 
 # A variant's run ends when its actor is as good as this share of the base expert's return.
 TARGET_SHARE = 0.98
@@ -56,9 +64,9 @@ class Plan:
 
 @dataclass(frozen=True)
 class Trained:
-    """What became of one variant: its record, whether it was made now, or why it failed."""
+    """What became of one variant or generalist: its record, whether it was made now, or why it failed."""
 
-    variant: Variant
+    variant: Variant | str
     record: dict[str, Any] = field(default_factory=dict)
     created: bool = False
     error: str = ""
@@ -97,12 +105,50 @@ def train(variant: Variant, plan: Plan, on_interval: Any = None) -> Trained:
     return Trained(variant, record if better else dict(done), created=better)
 
 
+def train_generalist(robot: str, plan: Plan) -> Trained:
+    """Train one agent over the base and all variants of a robot, for the variants to start from.
+
+    Raises:
+        ImujocoError: when the base agent to start from is not there, or another process is at it.
+    """
+    name = generalist_name(robot)
+    folder, target = plan.state / name, policies_folder() if plan.policies is None else plan.policies
+    with _locked(folder):
+        if done := generalist_record(robot, plan.policies):
+            return Trained(name, done)
+        base = Variant.parse(f"{robot}-{BASE}")
+        start = base_start(base, plan.policies)
+        run = Run(
+            Task(
+                base,
+                hyperparameters(robot, GENERALIST, **plan.changes),
+                plan.seed,
+                start=start.name,
+                agent=start.agent,
+                start_sha256=start.sha256,
+                among=(base, *catalogue(robot)),
+            ),
+            folder,
+        )
+        try:
+            record = run.train() | {"variant": name}
+        finally:
+            run.close()
+        target.mkdir(parents=True, exist_ok=True)
+        write_json(target / f"{name}.agent.json", record)
+        # The agent comes last: it says that the generalist is there.
+        save_arrays(target / f"{name}.agent.safetensors", load_arrays(folder / "best-agent.safetensors"))
+        shutil.rmtree(folder)
+    return Trained(name, record, created=True)
+
+
 def train_all(
     variants: Sequence[Variant], plan: Plan, *, jobs: int = 1, backend: str | None = None
 ) -> Iterator[Trained]:
     """Train many variants and yield each outcome as it comes, failures included.
 
-    Bases come first, since the others start from them. A run that is lost with its worker goes on from
+    Bases come first, since the others start from them; then, for robots all of whose variants are to be
+    trained, the generalists. A run that is lost with its worker goes on from
     its last checkpoint; for ``backend`` see :func:`imujoco_minari.parallel.run_jobs`.
     """
     for group in _in_order(variants, plan):
@@ -142,11 +188,12 @@ def _score(record: Mapping[str, Any]) -> float:
     return float(record["evaluation"]["return_mean"] - record["evaluation"]["return_std"])
 
 
-def _attempt(variant: Variant, plan: Plan) -> Trained:
+def _attempt(variant: Variant | str, plan: Plan) -> Trained:
+    """Train a variant, or the generalist of a robot that is given by its name."""
     # Processes of a pool are used again, and must not sink deeper with every variant.
     os.nice(max(0, plan.nice - max(0, os.nice(0))))
     try:
-        return train(variant, plan)
+        return train(variant, plan) if isinstance(variant, Variant) else train_generalist(variant, plan)
     except ImujocoError as error:
         return Trained(variant, error=str(error))
 
@@ -158,23 +205,18 @@ def task(variant: Variant, plan: Plan) -> Task:
         PolicyNotFoundError: when the agent to start from is not there.
     """
     record = expert_record(variant.base, plan.policies)
-    agent = expert_agent(variant.base, plan.policies)
     whole = float("inf") if plan.target is None else plan.target
     if plan.scratch or (variant.category == BASE and not (plan.improve and record)):
         return Task(variant, settings(variant, plan), plan.seed, target=whole)
-    if not record or agent is None:
-        raise PolicyNotFoundError(
-            f"{variant} starts from the agent of {variant.base}, which is not there: "
-            f"`imujoco train {variant.base}` first, or train with --scratch"
-        )
+    start = best_start(variant, plan.policies)
     target = TARGET_SHARE * _score(record) if plan.target is None and not plan.improve else whole
     return Task(
         variant,
         settings(variant, plan),
         plan.seed,
-        start=str(variant.base),
-        agent=load_arrays(agent),
-        start_sha256=record["weights_sha256"],
+        start=start.name,
+        agent=start.agent,
+        start_sha256=start.sha256,
         target=target,
     )
 
@@ -182,16 +224,26 @@ def task(variant: Variant, plan: Plan) -> Task:
 def settings(variant: Variant, plan: Plan) -> Hyperparameters:
     """Return the hyperparameters that the plan has for a variant."""
     start = SCRATCH if plan.scratch or variant.category == BASE else WARM
+    if plan.improve and not plan.scratch and expert_record(variant, plan.policies):
+        start = IMPROVE
     return hyperparameters(variant.robot, start, **plan.changes)
 
 
-def _in_order(variants: Sequence[Variant], plan: Plan) -> Iterator[list[Variant]]:
+def _in_order(variants: Sequence[Variant], plan: Plan) -> Iterator[list[Variant | str]]:
+    """Yield what must be done before what follows: bases, the names of robots for generalists, the rest."""
     first = [variant for variant in variants if variant.category == BASE]
     rest = [variant for variant in variants if variant.category != BASE]
+    general: list[str] = []
     if not plan.scratch:
         needed = dict.fromkeys(variant.base for variant in rest)
         first += [base for base in needed if base not in first and not expert_record(base, plan.policies)]
-    yield from (group for group in (first, rest) if group)
+        general = [
+            base.robot
+            for base in needed
+            if set(catalogue(base.robot)) <= set(rest) and not generalist_record(base.robot, plan.policies)
+        ]
+    groups: tuple[Sequence[Variant | str], ...] = (first, general, rest)
+    yield from (list(group) for group in groups if group)
 
 
 @contextmanager

@@ -2,21 +2,18 @@
 
 Run by scripts/test-crash, which preloads faults.c. Each trial forks a process that has everything
 imported, lets one file-system call go wrong, looks at what stock Minari sees then, and runs the command
-again. A second part kills the real command line at random moments.
+again. kills.py stops the real command line, at random moments.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import ctypes
 import errno
 import json
 import os
-import random
 import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -204,102 +201,10 @@ def fresh(root: Path, source: Path | None = None) -> None:
         shutil.copytree(source, root, symlinks=True)
 
 
-COMMANDS = {
-    "publish": ["publish", "hopper-base", "-t", "random", "-n", "4"],
-    "publish --jobs 2": ["publish", "hopper-base", "-t", "random", "-n", "8", "-j", "2"],
-    "publish --force": ["publish", "hopper-base", "-t", "random", "-n", "4", "-s", "1", "--force"],
-    "publish many": ["publish", "-r", "hopper", "-c", "friction", "-t", "random", "-n", "2"],
-}
-
-
-def random_kills(kills: int, scratch: Path, tally: Tally, seed: int) -> None:
-    """Kill the command line at random moments, and let the next run complete."""
-    rng = random.Random(seed)
-    expected: dict[str, dict[str, str]] = {}
-    times: dict[str, float] = {}
-    root = scratch / "killed"
-    environment = {key: value for key, value in os.environ.items() if not key.startswith(("FAULTS", "LD_"))}
-    environment |= {"MINARI_DATASETS_PATH": str(root)}
-    os.environ["MINARI_DATASETS_PATH"] = str(root)
-    for trial in range(kills):
-        name = list(COMMANDS)[trial % len(COMMANDS)]
-        command = [sys.executable, "-m", "imujoco_minari", *COMMANDS[name]]
-        fresh(root)
-        if name == "publish --force":
-            subprocess.run(
-                [sys.executable, "-m", "imujoco_minari", *COMMANDS["publish"]], env=environment, check=True,
-                capture_output=True,
-            )  # fmt: skip
-        before = visible(root)
-        if name not in expected:
-            keep = scratch / "keep"
-            fresh(keep, root if root.exists() else None)
-            start = time.monotonic()
-            subprocess.run(command, env=environment, check=True, capture_output=True)
-            times[name], expected[name] = time.monotonic() - start, visible(root)
-            fresh(root, keep if keep.exists() else None)
-        after = expected[name]
-        process = subprocess.Popen(
-            command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )  # fmt: skip
-        # Not in the first half second, in which Python only imports.
-        delay = rng.uniform(0.5, times[name])
-        try:
-            process.wait(delay)
-        except subprocess.TimeoutExpired:
-            os.kill(process.pid, signal.SIGKILL)
-        status = process.wait()
-        tally.trials["SIGKILL at random"] += 1
-        tally.outcomes[f"SIGKILL at random: {describe(status)}"] += 1
-        try:
-            now = visible(root)
-            assert set(before) <= set(now), f"lost {set(before) - set(now)}"
-            for dataset_id, digest in now.items():
-                assert digest in (before.get(dataset_id), after[dataset_id]), f"{dataset_id} is neither"
-            # Orphaned workers end by themselves; what they still write must not be taken for ours.
-            done = subprocess.run(command, env=environment, check=False, capture_output=True, text=True)
-            assert done.returncode == 0, done.stderr
-            assert visible(root) == after, "the next run made something else"
-            tally.outcomes["workers that outlived their command"] += end_orphans(process.pid)
-            roots.tidy()
-            left = list((root / roots.STAGING).glob("*"))
-            assert not left, f"left behind: {left}"
-        except Exception as error:
-            tally.failures.append(f"{name}, killed after {delay:.2f} s: {type(error).__name__}: {error}")
-            print("FAILED", tally.failures[-1], flush=True)
-
-
-def end_orphans(session: int) -> int:
-    """Kill the workers that a killed command left, which would end by themselves in minutes; count them."""
-    left = members(session)
-    for pid in left:
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(pid, signal.SIGKILL)
-    while members(session):
-        time.sleep(0.05)
-    return len(left)
-
-
-def members(session: int) -> list[int]:
-    """Return the processes of a session."""
-    found = []
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = stat.read_text().rpartition(")")[2].split()
-        except OSError:
-            continue
-        if int(fields[3]) == session and fields[0] != "Z":
-            found.append(int(stat.parent.name))
-    return found
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--every", type=int, default=1, help="let every n-th call go wrong only")
-    parser.add_argument("--kills", type=int, default=60, help="kills at random moments")
-    parser.add_argument("--only", choices=[*SCENARIOS, "random kills"], help="one scenario")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", choices=SCENARIOS, help="one scenario")
     options = parser.parse_args()
     tally = Tally()
     start = time.monotonic()
@@ -310,7 +215,6 @@ def main() -> None:
         for name, scenario in SCENARIOS.items():
             if options.only in (None, name):
                 faults(name, scenario, Path(folder), options.every, tally)
-        random_kills(options.kills, Path(folder), tally, options.seed)
     for title, counter in (("trials", tally.trials), ("outcomes", tally.outcomes)):
         print(title, ", ".join(f"{key}: {value}" for key, value in sorted(counter.items())))
     trials = sum(tally.trials.values())
