@@ -33,6 +33,7 @@ from imujoco_minari.importing.original import (
 from imujoco_minari.registration import collection_spec, environment_spec
 from imujoco_minari.variants import EXPERT, NAMESPACE, Variant, catalogue
 from imujoco_minari.verification.identity import read_metadata
+from imujoco_minari.verification.screening import survives
 from imujoco_minari.writing import writing
 
 # Attributes that a collection carries itself where all its episodes agree on them.
@@ -89,6 +90,8 @@ def combine_datasets(
     with roots.failures_named():
         sources = [_source(dataset) for dataset in datasets_to_combine]
         _check(sources)
+        for source in () if link else sources:
+            _screen(source)
     with roots.staging(new_dataset_id) as staging_folder:
         staged = staging_folder / "dataset"
         staged.mkdir()
@@ -185,6 +188,13 @@ def _check(sources: Sequence[_Source]) -> None:
                     f"{first.dataset_id} and {source.dataset_id} cannot be combined: "
                     f"their {space.replace('_', ' ')}s differ, {ours} and {theirs}"
                 )
+
+
+def _screen(source: _Source) -> None:
+    """Raise a DatasetError for a file on which HDF5 may hang or crash; one that is as published is none."""
+    stated = source.storage.metadata.get(content.FILE_DIGEST)
+    if stated != content.file_sha256(source.file) and (finding := survives(source.file.parent)):
+        raise DatasetError(f"{source.dataset_id} cannot be combined: {finding}")
 
 
 def _write(sources: Sequence[_Source], data: Path, linked_from: Path | None) -> list[dict[str, Any]]:

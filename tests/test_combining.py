@@ -9,11 +9,12 @@ import minari
 import numpy as np
 import pytest
 
-from imujoco_minari import content
+from imujoco_minari import combining, content, roots
 from imujoco_minari.combining import collection_id, combine_datasets, published_ids
 from imujoco_minari.errors import DatasetError, DatasetExistsError, DatasetNotFoundError
 from imujoco_minari.publishing import publish
 from imujoco_minari.verification import verify
+from imujoco_minari.verification.findings import Finding
 
 VARIANTS = ("hopper-base", "hopper-massdec_25_leggeom", "hopper-frictiondec_50_feet")
 IDS = [f"imujoco/{variant}-random-v0" for variant in VARIANTS]
@@ -187,3 +188,25 @@ def test_an_environment_of_all_its_variants_resets_to_each(sources):
     assert all(np.array_equal(observations[0], observation) for observation in observations)
     with pytest.raises(ValueError, match="is not in this collection"):
         env.reset(seed=1, options={"variant": "hopper-massinc_200_footgeom"})
+
+
+def test_a_file_that_has_changed_is_first_read_by_another_process(sources, monkeypatch):
+    asked = []
+
+    def killed(data):
+        asked.append(data)
+        return Finding("main_data.hdf5", "is damaged so that reading it kills the process (SIGSEGV)")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(combining, "survives", killed)
+        combine_datasets(sources, NEW)
+        assert asked == []
+        file = content.main_file(roots.dataset_folder(sources[1]) / "data")
+        with file.open("ab") as stream:
+            stream.write(b"0")
+        with pytest.raises(DatasetError, match=rf"{sources[1]} cannot be combined: .*SIGSEGV"):
+            combine_datasets(sources, "imujoco/changed-v0")
+        assert asked == [file.parent]
+    assert "imujoco/changed-v0" not in minari.list_local_datasets()
+    # Whatever has changed, a file that can be read is combined as it is.
+    assert combine_datasets(sources, "imujoco/changed-v0").total_episodes == 3 * EPISODES

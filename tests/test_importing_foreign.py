@@ -21,6 +21,7 @@ from imujoco_minari.cli.app import run
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError
 from imujoco_minari.importing.foreign import import_dataset, read_source
 from imujoco_minari.variants import Variant
+from imujoco_minari.verification import screening
 
 BASE = Variant.parse("hopper-base")
 KEYS = ("observations", "actions", "rewards", "terminations", "truncations")
@@ -264,3 +265,15 @@ def test_a_truncated_file_fails_in_one_line(tmp_path: Path, cut: int) -> None:
     with pytest.raises(ImujocoError) as raised:
         read_source(str(path), "hopper")
     assert "\n" not in str(raised.value)
+
+
+def test_a_file_that_hangs_hdf5_is_met_by_another_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_hdf5(tmp_path / "d4rl.hdf5", flat(table(1)))
+    assert screening.survives_walk(path) is None
+    # The child's bound is of time, so one that waits stands for one that loops.
+    monkeypatch.setattr(screening, "_WALK", "import time\ntime.sleep(600)")
+    monkeypatch.setattr(screening, "_START_SECONDS", 1)
+    with pytest.raises(DatasetError, match=r"d4rl.hdf5: cannot be read within 1 seconds"):
+        read_source(str(path), "hopper")

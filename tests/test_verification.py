@@ -429,7 +429,7 @@ class TestScreening:
     """Files that would take the process down."""
 
     def child(self, monkeypatch: pytest.MonkeyPatch, code: str) -> None:
-        monkeypatch.setattr(screening, "_CHILD", code)
+        monkeypatch.setattr(screening, "_CHECK", code)
 
     def test_a_crash_is_a_finding(self, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.child(monkeypatch, "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")

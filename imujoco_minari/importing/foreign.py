@@ -28,6 +28,7 @@ from imujoco_minari.publishing import External, Published, publish_episodes
 from imujoco_minari.references import reference_scores
 from imujoco_minari.registration import environment_spec
 from imujoco_minari.variants import Variant
+from imujoco_minari.verification.screening import survives_walk
 
 _MAX_METADATA_BYTES = 2**24
 # The names by which flat files go, D4RL's first.
@@ -261,6 +262,8 @@ def _metadata(data: Path) -> dict[str, Any]:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[h5py.File]:
+    if finding := survives_walk(path):
+        raise DatasetError(f"{path}: {finding.what}")
     try:
         with h5py.File(path, "r") as file:
             yield file

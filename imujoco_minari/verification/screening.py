@@ -21,15 +21,29 @@ MAX_MEMORY_BYTES = 2**33
 # What the slowest disk worth the name needs, beside a start on a busy machine.
 _START_SECONDS, _BYTES_PER_SECOND = 60, 2 * 2**20
 
-_CHILD = """
+_BEGIN = """
 import json, resource, sys
-limit, data, sys.path[:] = json.loads(sys.argv[1])
+limit, place, sys.path[:] = json.loads(sys.argv[1])
 resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
 resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+"""
+_CHECK = """
 from pathlib import Path
 from imujoco_minari.verification import check
-checked = check(Path(data))
+checked = check(Path(place))
 json.dump([[(f.where, f.what) for f in checked.findings], checked.replayable], sys.stdout)
+"""
+# All but the numbers in the arrays, which HDF5 copies without looking. What raises is told by who reads it.
+_WALK = """
+import contextlib, h5py
+def look(name, found):
+    with contextlib.suppress(Exception):
+        dict(found.attrs)
+        if isinstance(found, h5py.Dataset):
+            found.shape, found.dtype, found.chunks, found.id.get_storage_size()
+with contextlib.suppress(Exception), h5py.File(place, "r") as file:
+    look("/", file)
+    file.visititems(look)
 """
 
 
@@ -39,34 +53,47 @@ def survives(data: Path) -> Finding | None:
     return checked if isinstance(checked, Finding) else None
 
 
+def survives_walk(path: Path) -> Finding | None:
+    """Read what an HDF5 file of any kind says of its arrays, as :func:`survives` does."""
+    said = _apart(_WALK, path, path)
+    return said if isinstance(said, Finding) else None
+
+
 def checked_apart(data: Path) -> Checked | Finding:
     """Check a dataset in a child process and return what that found, or what became of it."""
-    seconds = _START_SECONDS + _size(content.main_file(data)) // _BYTES_PER_SECOND
+    said = _apart(_CHECK, data, content.main_file(data))
+    if isinstance(said, Finding):
+        return said
+    try:
+        # The last line: a library may have said something before.
+        findings, replayable = json.loads(said.splitlines()[-1])
+    except (ValueError, IndexError):
+        return Finding(content.MAIN_FILE, "cannot be read: the process that read it gave no answer")
+    return Checked([Finding(where, what) for where, what in findings], replayable)
+
+
+def _apart(code: str, place: Path, file: Path) -> bytes | Finding:
+    """Run ``code`` on ``place`` in a child process; return what it says, or what became of it."""
+    seconds = _START_SECONDS + _size(file) // _BYTES_PER_SECOND
     environment = {key: value for key, value in os.environ.items() if not key.startswith("HDF5_EXT")}
+    arguments = json.dumps([MAX_MEMORY_BYTES, str(place.absolute()), sys.path])
     try:
         done = subprocess.run(
-            [sys.executable, "-c", _CHILD, json.dumps([MAX_MEMORY_BYTES, str(data.absolute()), sys.path])],
+            [sys.executable, "-c", _BEGIN + code, arguments],
             env=environment | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
             capture_output=True,
             timeout=seconds,
             check=False,
         )
     except subprocess.TimeoutExpired:
-        return Finding(content.MAIN_FILE, f"cannot be read within {seconds} seconds")
+        return Finding(file.name, f"cannot be read within {seconds} seconds")
     if done.returncode < 0:
         cause = signal.Signals(-done.returncode).name
-        return Finding(content.MAIN_FILE, f"is damaged so that reading it kills the process ({cause})")
+        return Finding(file.name, f"is damaged so that reading it kills the process ({cause})")
     if done.returncode:
         lines = done.stderr.decode("utf-8", "replace").strip().splitlines()
-        return Finding(
-            content.MAIN_FILE, f"cannot be read: {lines[-1][:200] if lines else 'no reason given'}"
-        )
-    try:
-        # The last line: a library may have said something before.
-        findings, replayable = json.loads(done.stdout.splitlines()[-1])
-    except (ValueError, IndexError):
-        return Finding(content.MAIN_FILE, "cannot be read: the process that read it gave no answer")
-    return Checked([Finding(where, what) for where, what in findings], replayable)
+        return Finding(file.name, f"cannot be read: {lines[-1][:200] if lines else 'no reason given'}")
+    return done.stdout
 
 
 def _size(path: Path) -> int:
