@@ -14,7 +14,8 @@ from imujoco_minari.registration import make
 from imujoco_minari.rollouts import episode_seed, roll_out
 from imujoco_minari.tiers import parts, rung_file
 from imujoco_minari.training.run import CONFIRMING_SEED
-from imujoco_minari.variants import BASE, Variant
+from imujoco_minari.training.starts import generalist_name
+from imujoco_minari.variants import Variant
 
 SHIPPED = expert_variants()
 # Enough to notice a wrong file, few enough for every run; a different few on every change of the list.
@@ -34,10 +35,7 @@ def test_a_record_is_of_the_weights_beside_it(variant: Variant) -> None:
     assert record["evaluation"]["episodes"] >= 100
     assert record["evaluation"]["deterministic"]
     assert record["random"]["episodes"] >= 100
-    assert (
-        record["start"] == ("scratch" if variant.category == BASE else str(variant.base))
-        or record["start"] == "scratch"
-    )
+    assert record["start"] in ("scratch", str(variant.base), generalist_name(variant.robot))
     assert len(record["ladder"]) >= 4
     for rung in record["ladder"]:
         path = Path(str(resources.files("imujoco_minari") / "weights" / rung_file(variant, rung["steps"])))

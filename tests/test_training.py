@@ -11,6 +11,7 @@ import minari
 import numpy as np
 import pytest
 
+from imujoco_minari.cli.app import run as run_command
 from imujoco_minari.errors import CatalogueError, PolicyError, PolicyNotFoundError, TrainingError
 from imujoco_minari.policies import expert_actor, expert_record, expert_variants, policies_folder
 from imujoco_minari.publishing import publish
@@ -114,7 +115,7 @@ def test_a_variant_is_trained_from_its_base_and_published(tmp_path: Path, unship
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_a_whole_robot_gets_a_generalist_to_start_from(
-    tmp_path: Path, unshipped: None, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, unshipped: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     variants = (LIGHT_LEG, Variant.parse("hopper-massinc_200_torsogeom"))
     monkeypatch.setattr(sweep, "catalogue", lambda robot: variants)
@@ -146,6 +147,14 @@ def test_a_whole_robot_gets_a_generalist_to_start_from(
         better = max(shas, key=lambda name: scores[name].return_mean - scores[name].return_std)
         assert best_start(variant).name == expert_record(variant)["start"] == better
         assert best_start(variant).sha256 == expert_record(variant)["start_sha256"] == shas[better]
+    assert run_command(["policies", "--summary"]) == 0
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    shares = [
+        expert_record(v)["evaluation"]["return_mean"] / expert_record(BASE)["evaluation"]["return_mean"]
+        for v in variants
+    ]
+    (mass,) = (line for line in lines if line[:2] == ["hopper", "mass"])
+    assert mass[2:6] == ["2", "20", f"{np.mean(shares):.2f}", f"{min(shares):.2f}"]
     # All is there: nothing is trained again.
     assert [outcome.created for outcome in train_all(variants, plan)] == [False, False]
 
@@ -177,6 +186,13 @@ def test_an_agent_is_restored_whole_or_refused(tmp_path: Path) -> None:
     }
     with pytest.raises(PolicyError, match="does not fit: actor/"):
         restore_agent(make_agent(make("walker2d-base"), settings, seed=0), arrays)
+
+
+def test_a_device_that_is_not_there_is_named_with_those_that_are() -> None:
+    settings = hyperparameters("hopper", WARM, **TINY)
+    make_agent(make(BASE), settings, seed=0, device="cpu")
+    with pytest.raises(TrainingError, match=r"no device 'abacus' here; valid: .*cpu"):
+        make_agent(make(BASE), settings, seed=0, device="abacus")
 
 
 def test_two_processes_do_not_train_one_variant(tmp_path: Path) -> None:

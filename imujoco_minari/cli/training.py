@@ -22,7 +22,7 @@ from imujoco_minari.cli.app import (
 )
 from imujoco_minari.cli.datasets import Backend, Jobs, report, select
 from imujoco_minari.policies import expert_record, expert_variants, policies_folder
-from imujoco_minari.variants import Variant
+from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS, Variant, bases, catalogue
 
 if TYPE_CHECKING:
     from imujoco_minari.training.hyperparameters import Hyperparameters
@@ -52,6 +52,10 @@ def train_variants(
     jobs: Jobs = 1,
     backend: Backend = None,
     nice: Annotated[int, typer.Option("--nice", min=0, max=19, help="Lower the priority by this much.")] = 0,
+    device: Annotated[
+        str | None,
+        typer.Option("--device", help="Where to compute updates: cpu or gpu; the best there is."),
+    ] = None,
     state: Annotated[Path | None, typer.Option("--state", help="Folder of unfinished runs.")] = None,
     output: Annotated[Path | None, typer.Option("--output", help="Folder for finished policies.")] = None,
     improve: Annotated[
@@ -75,7 +79,7 @@ def train_variants(
 
     chosen = select(variants or [], robot, category, everything)
     changes: dict[str, Any] = {} if max_steps is None else {"max_steps": max_steps}
-    plan = Plan(state or default_state(), output, scratch, seed, target, changes, nice, improve)
+    plan = Plan(state or default_state(), output, scratch, seed, target, changes, nice, improve, device)
     if record_replay:
         os.nice(nice)
         _record(chosen, plan, as_json)
@@ -158,15 +162,25 @@ def _report(outcome: Trained, quiet: bool) -> None:
 
 
 @app.command()
-def policies(robot: Robot = None, category: Category = None, as_json: AsJson = False) -> None:
+def policies(
+    robot: Robot = None,
+    category: Category = None,
+    summary: Annotated[
+        bool, typer.Option("--summary", help="A line a robot and category instead of one a policy.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
     """Tabulate the expert policies that are there, the user's and the shipped.
 
-    Example: `imujoco policies --robot hopper`
+    Examples: `imujoco policies --robot hopper`, `imujoco policies --summary`
     """
     chosen = [v for v in expert_variants() if robot in (None, v.robot) and category in (None, v.category)]
     records = [dict(expert_record(variant)) for variant in chosen]
     if as_json:
         print_json(records)
+        return
+    if summary:
+        _summarise()
         return
     columns = ("variant", "algorithm", "start", "steps", "return", "std", "min", "of base", "length")
     rows = [_row(variant, record) for variant, record in zip(chosen, records, strict=True)]
@@ -189,10 +203,38 @@ def export(
     out.print(f"wrote {written}: `stable_baselines3.SAC.load({str(written)!r})` opens it")
 
 
+def _summarise() -> None:
+    """Print, for each robot and category, how the experts compare with their base's, and what they took."""
+    from statistics import median
+
+    columns = ("robot", "category", "policies", "of", "median", "min", "below 0.95", "core-hours")
+    rows = []
+    for robot in ROBOTS:
+        for category in (BASE, *CATEGORIES):
+            listed = (
+                [v for v in bases() if v.robot == robot] if category == BASE else catalogue(robot, category)
+            )
+            records = [dict(record) for variant in listed if (record := expert_record(variant))]
+            shares = [share for record in records if (share := _share(record)) is not None]
+            numbers = ["-", "-", "-"]
+            if shares:
+                below = sum(share < 0.95 for share in shares)
+                numbers = [f"{median(shares):.2f}", f"{min(shares):.2f}", str(below)]
+            hours = sum(record["wall_seconds"] for record in records) / 3600
+            rows.append([robot, category, str(len(records)), str(len(listed)), *numbers, f"{hours:.1f}"])
+    print_table(columns, rows, numeric=columns[2:])
+    out.print("\nmedian and min: return as a share of the base expert's")
+
+
+def _share(record: dict[str, Any]) -> float | None:
+    """Return a record's return as a share of its base expert's."""
+    base = expert_record(Variant.parse(record["variant"]).base).get("evaluation", {}).get("return_mean")
+    return record["evaluation"]["return_mean"] / base if base else None
+
+
 def _row(variant: Variant, record: dict[str, Any]) -> list[str]:
     evaluation = record["evaluation"]
-    base = expert_record(variant.base).get("evaluation", {}).get("return_mean")
-    share = f"{evaluation['return_mean'] / base:.2f}" if base else "-"
+    share = _share(record)
     numbers = [f"{evaluation[key]:.0f}" for key in ("return_mean", "return_std", "return_min")]
     return [
         str(variant),
@@ -200,6 +242,6 @@ def _row(variant: Variant, record: dict[str, Any]) -> list[str]:
         record["start"],
         f"{record['steps']:,}",
         *numbers,
-        share,
+        "-" if share is None else f"{share:.2f}",
         f"{evaluation['length_mean']:.0f}",
     ]

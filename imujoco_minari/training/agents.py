@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from safetensors.numpy import load_file, save
 
-from imujoco_minari.errors import PolicyError, missing_dependency
+from imujoco_minari.errors import PolicyError, TrainingError, missing_dependency
 from imujoco_minari.policies import Actor, Array, policies_folder
 from imujoco_minari.training.hyperparameters import Hyperparameters
 
@@ -26,11 +26,18 @@ _LAYERS = {
 _STATES = ("actor", "qf", "entropy")
 
 
-def make_agent(env: Any, settings: Hyperparameters, seed: int) -> Any:
+def make_agent(env: Any, settings: Hyperparameters, seed: int, device: str | None = None) -> Any:
     """Return a new ``sbx.CrossQ`` on ``env`` (a Gymnasium environment or a vectorised one).
+
+    Args:
+        env: what to train in.
+        settings: the hyperparameters.
+        seed: of all that is random.
+        device: where the updates are computed: ``cpu``, ``gpu``, or None for the best that JAX has.
 
     Raises:
         DependencyError: when SBX is not installed.
+        TrainingError: when there is no such device.
     """
     # XLA's threads are no faster on updates this small and would take the other jobs' cores.
     os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
@@ -42,6 +49,8 @@ def make_agent(env: Any, settings: Hyperparameters, seed: int) -> Any:
     if jax.config.jax_compilation_cache_dir is None:
         # A sweep compiles the same few programs for every variant of a robot.
         jax.config.update("jax_compilation_cache_dir", str(policies_folder().parent / "compiled"))
+    if device is not None:
+        _use(device)
     return CrossQ(
         "MlpPolicy",
         env,
@@ -60,6 +69,20 @@ def make_agent(env: Any, settings: Hyperparameters, seed: int) -> Any:
         buffer_size=min(settings.max_steps + settings.evaluate_every, 1_000_000),
         seed=seed,
     )
+
+
+def _use(device: str) -> None:
+    """Compute on the first device of a kind from now on, in this process."""
+    import jax
+
+    try:
+        jax.config.update("jax_default_device", jax.devices(device)[0])
+    except RuntimeError:
+        there = sorted({found.platform for found in jax.devices()} | {"cpu"})
+        raise TrainingError(
+            f"JAX has no device {device!r} here; valid: {', '.join(there)} "
+            '(for an NVIDIA GPU, `pip install "jax[cuda12]"`)'
+        ) from None
 
 
 def agent_arrays(agent: Any) -> dict[str, Array]:

@@ -121,6 +121,7 @@ class Run:
         task: what to train.
         folder: state of this run alone; made if need be.
         wrap: what to put around the training environment, to record it.
+        device: see :func:`~imujoco_minari.training.agents.make_agent`.
     """
 
     def __init__(
@@ -128,13 +129,14 @@ class Run:
         task: Task,
         folder: Path,
         wrap: Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]] = lambda env: env,
+        device: str | None = None,
     ) -> None:
         self.task, self.folder, self.progress = task, folder, Progress()
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "ladder").mkdir(exist_ok=True)
         self._env = SeededResets(wrap(task.environment()), task.seed)
         self._judge = task.environment()
-        self._agent = make_agent(self._env, task.settings, task.seed)
+        self._agent = make_agent(self._env, task.settings, task.seed, device)
         self._checkpoint_file = folder / _CHECKPOINT
         if self._checkpoint_file.is_file():
             self._resume()

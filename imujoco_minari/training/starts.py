@@ -19,7 +19,7 @@ from imujoco_minari.registration import make
 from imujoco_minari.rollouts import evaluate
 from imujoco_minari.training.agents import actor_of, agent_actor, load_arrays
 from imujoco_minari.training.hyperparameters import WARM, hyperparameters
-from imujoco_minari.variants import BASE, Variant
+from imujoco_minari.variants import Variant
 
 START_SEED = 1_000_005
 
@@ -66,7 +66,7 @@ def best_start(variant: Variant, policies: Path | None = None) -> Start:
         PolicyNotFoundError: when the base's agent is not there.
     """
     base, path = base_start(variant, policies), agent_file(generalist_name(variant.robot), policies)
-    if path is None or variant.category == BASE:
+    if path is None:
         return base
     record = generalist_record(variant.robot, policies)
     generalist = Start(generalist_name(variant.robot), str(record["weights_sha256"]), load_arrays(path))

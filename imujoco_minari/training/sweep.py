@@ -50,6 +50,7 @@ class Plan:
         changes: hyperparameters that differ from the file's.
         nice: lower the priority of the process by this much.
         improve: train finished policies on, and keep what is better.
+        device: where the updates are computed: ``cpu``, ``gpu``, or None for the best that JAX has.
     """
 
     state: Path
@@ -60,6 +61,7 @@ class Plan:
     changes: dict[str, Any] = field(default_factory=dict)
     nice: int = 0
     improve: bool = False
+    device: str | None = None
 
 
 @dataclass(frozen=True)
@@ -91,7 +93,7 @@ def train(variant: Variant, plan: Plan, on_interval: Any = None) -> Trained:
         done = expert_record(variant, plan.policies)
         if done and not plan.improve:
             return Trained(variant, dict(done))
-        run = Run(task(variant, plan), folder)
+        run = Run(task(variant, plan), folder, device=plan.device)
         try:
             record = run.train(on_interval)
         finally:
@@ -129,6 +131,7 @@ def train_generalist(robot: str, plan: Plan) -> Trained:
                 among=(base, *catalogue(robot)),
             ),
             folder,
+            device=plan.device,
         )
         try:
             record = run.train() | {"variant": name}
