@@ -8,6 +8,7 @@ attribute stays, and no array is decoded.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -90,8 +91,9 @@ def combine_datasets(
     with roots.failures_named():
         sources = [_source(dataset) for dataset in datasets_to_combine]
         _check(sources)
-        for source in () if link else sources:
-            _screen(source)
+        if not link:
+            with ThreadPoolExecutor() as threads:
+                list(threads.map(_screen, sources))
     with roots.staging(new_dataset_id) as staging_folder:
         staged = staging_folder / "dataset"
         staged.mkdir()
