@@ -43,6 +43,8 @@ def test_publish(jobs: str, whole_group: bool, root: Path) -> None:
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        # What runs in the background of a script, as tests may, ignores interrupts, and so do its children.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     # Episodes are being written when the file is there.
     end = time.monotonic() + 60
@@ -86,15 +88,17 @@ def test_one_that_comes_while_hdf5_calls_our_file_comes_after(
                 file[str(number)] = np.arange(1000)
                 file.flush()
 
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
     writing._QuietFile.__bases__ = (Interrupted,)
     try:
         with pytest.raises(KeyboardInterrupt):
             write()
     finally:
         writing._QuietFile.__bases__ = (io.FileIO,)
+        restored = signal.signal(signal.SIGINT, handler)
     assert calls == [called]
     assert capfd.readouterr().err == ""
     # HDF5 closed the file in peace.
     with h5py.File(path, "r") as file:
         assert np.array_equal(file["0"], np.arange(1000))
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert restored is signal.default_int_handler

@@ -139,6 +139,8 @@ class Trials:
         process = subprocess.Popen(
             [sys.executable, *self.command.words], env=self._environment(), cwd=self.place,
             stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True,
+            # What runs in the background of a script ignores interrupts, and so would its children.
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
         )  # fmt: skip
         stopped = True
         try:
