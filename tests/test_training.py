@@ -105,6 +105,8 @@ def test_a_variant_is_trained_from_its_base_and_published(tmp_path: Path, unship
     if improved.created:
         assert improved.record["before"]["weights_sha256"] == outcomes[0].record["weights_sha256"]
         assert improved.record["start_sha256"] == outcomes[0].record["weights_sha256"]
+    rungs = [[rung["steps"] for rung in r["ladder"]] for r in (outcomes[0].record, expert_record(BASE))]
+    assert rungs[0] == rungs[1]
     assert not (tmp_path / "state" / "hopper-base").exists()
     published = publish(LIGHT_LEG, episodes=3)
     metadata = minari.load_dataset(published.dataset_id).storage.metadata

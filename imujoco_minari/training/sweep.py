@@ -170,12 +170,13 @@ def install(folder: Path, record: dict[str, Any], policies: Path | None) -> dict
     target = policies_folder() if policies is None else policies
     target.mkdir(parents=True, exist_ok=True)
     variant, expert = Variant.parse(record["variant"]), record["evaluation"]["return_mean"]
+    # An improved base keeps the ladder of its way up; an expert's further training falls as it likes.
+    rungs = rungs_of(variant.base, policies)
     if variant.category == BASE:
-        evaluations = load_progress(folder).evaluations
-        rungs = keep_rungs(folder / "ladder", evaluations, expert, variant, target)
+        if "before" not in record:
+            evaluations = load_progress(folder).evaluations
+            rungs = keep_rungs(folder / "ladder", evaluations, expert, variant, target)
         save_arrays(target / f"{variant}.agent.safetensors", load_arrays(folder / "best-agent.safetensors"))
-    else:
-        rungs = rungs_of(variant.base, policies)
     record = record | {"ladder": measure_ladder(variant, expert, rungs, target)}
     save_arrays(target / f"{variant}.safetensors", load_arrays(folder / "best.safetensors"))
     # The record comes last: it says that the policy is there.
