@@ -61,8 +61,13 @@ _UNDISTURBED_FILE = weakref.__file__
 
 @contextmanager
 def _polite_interrupts() -> Iterator[None]:
-    """Raise KeyboardInterrupt at once, or, where it would pass through HDF5, a moment later."""
-    again: list[threading.Timer] = []
+    """Handle an interrupt at once, or, where its exception would pass through HDF5, a moment later."""
+    handler = signal.getsignal(signal.SIGINT)
+    # Only the main thread may set a handler, and only where there is one does an exception come of it.
+    if threading.current_thread() is not threading.main_thread() or not callable(handler):
+        yield
+        return
+    handle, again = handler, list[threading.Timer]()
 
     def interrupt(signal_number: int, frame: FrameType | None) -> None:
         inner = frame
@@ -73,15 +78,8 @@ def _polite_interrupts() -> Iterator[None]:
                 return
             inner = inner.f_back
         again.clear()
-        signal.default_int_handler(signal_number, frame)
+        handle(signal_number, frame)
 
-    # Whoever has a handler of their own, or calls from another thread, gets no KeyboardInterrupt anyway.
-    if (
-        threading.current_thread() is not threading.main_thread()
-        or signal.getsignal(signal.SIGINT) is not signal.default_int_handler
-    ):
-        yield
-        return
     signal.signal(signal.SIGINT, interrupt)
     try:
         try:
@@ -91,7 +89,7 @@ def _polite_interrupts() -> Iterator[None]:
             while again:
                 again.pop().join()
     finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGINT, handler)
 
 
 @contextmanager

@@ -102,3 +102,27 @@ def test_one_that_comes_while_hdf5_calls_our_file_comes_after(
     with h5py.File(path, "r") as file:
         assert np.array_equal(file["0"], np.arange(1000))
     assert restored is signal.default_int_handler
+
+
+def test_one_that_breaks_an_import_is_one_all_the_same() -> None:
+    script = """
+import importlib, signal
+app = importlib.import_module("imujoco_minari.cli.app")
+
+def run(arguments):
+    try:
+        signal.raise_signal(signal.SIGINT)
+    except KeyboardInterrupt as interrupt:
+        raise ImportError("initialization failed") from interrupt
+
+app.run = run
+app.main()
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")

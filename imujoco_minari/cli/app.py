@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from types import FrameType
 from typing import Annotated, Any
 
 import typer
@@ -41,7 +43,23 @@ Category = Annotated[str | None, typer.Option("--category", "-c", help="mass, jo
 
 def main() -> None:
     """Run the command line and exit with its code."""
-    code = run(sys.argv[1:])
+    interrupts: list[int] = []
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        interrupts.append(number)
+        signal.default_int_handler(number, frame)
+
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, interrupt)
+    try:
+        code = run(sys.argv[1:])
+    except Exception:
+        # An extension that is interrupted as it is imported says that its import failed, and so on.
+        if not interrupts:
+            raise
+        code = INTERRUPTED
+    if interrupts and code:
+        code = INTERRUPTED
     if code == INTERRUPTED:
         # All is cleaned up by now. The interpreter's own farewell would take HDF5 files that were
         # interrupted in their closing apart in any order, and complain.

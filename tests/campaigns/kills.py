@@ -8,6 +8,7 @@ interrupted command must also end with 130 and say no traceback; neither may lea
 from __future__ import annotations
 
 import argparse
+import contextlib
 import hashlib
 import os
 import random
@@ -143,6 +144,7 @@ class Trials:
             preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
         )  # fmt: skip
         stopped = True
+        _wait_for_start(process)
         try:
             _, errors = process.communicate(timeout=delay)
             stopped = False
@@ -210,6 +212,15 @@ class Trials:
         shutil.copytree(self.place, self._pristine, symlinks=True, ignore=shutil.ignore_patterns("compiled"))
 
 
+def _wait_for_start(process: subprocess.Popen[str]) -> None:
+    """Wait until Python has begun, which says what it likes of an earlier interrupt: NumPy is there."""
+    while process.poll() is None:
+        with contextlib.suppress(OSError):
+            if "_multiarray_umath" in Path(f"/proc/{process.pid}/maps").read_text():
+                return
+        time.sleep(0.01)
+
+
 def members(session: int) -> list[int]:
     """Return the processes of a session."""
     found = []
@@ -241,8 +252,7 @@ def main() -> None:
             print(f"{name}: {trials.seconds:.1f} s undisturbed", flush=True)
             for number in signals:
                 for _ in range(options.trials):
-                    # Not while Python only imports.
-                    delay = rng.uniform(0.3, trials.seconds)
+                    delay = rng.uniform(0, trials.seconds)
                     try:
                         trials.trial(number, delay, tally)
                     except Exception as error:
