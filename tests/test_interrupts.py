@@ -104,8 +104,9 @@ def test_one_that_comes_while_hdf5_calls_our_file_comes_after(
     assert restored is signal.default_int_handler
 
 
-def test_one_that_breaks_an_import_is_one_all_the_same() -> None:
-    script = """
+@pytest.mark.parametrize("becomes", ["ImportError('initialization failed')", "interrupt"])
+def test_one_that_ends_as_something_else_is_one_all_the_same(becomes: str) -> None:
+    script = f"""
 import importlib, signal
 app = importlib.import_module("imujoco_minari.cli.app")
 
@@ -113,7 +114,7 @@ def run(arguments):
     try:
         signal.raise_signal(signal.SIGINT)
     except KeyboardInterrupt as interrupt:
-        raise ImportError("initialization failed") from interrupt
+        raise {becomes} from None
 
 app.run = run
 app.main()

@@ -53,7 +53,7 @@ def main() -> None:
         signal.signal(signal.SIGINT, interrupt)
     try:
         code = run(sys.argv[1:])
-    except Exception:
+    except (Exception, KeyboardInterrupt):
         # An extension that is interrupted as it is imported says that its import failed, and so on.
         if not interrupts:
             raise
