@@ -87,6 +87,17 @@ def test_any_variant_of_the_grammar_can_be_made_and_registered() -> None:
     gym.registry.pop(name)
 
 
+def test_environments_of_one_variant_share_no_model() -> None:
+    first, second = (imujoco_minari.make("hopper-base").unwrapped for _ in range(2))
+    mass = float(second.model.body_mass[1])
+    first.model.body_mass[1] *= 2
+    first.model.opt.gravity[:] = 0
+    third = imujoco_minari.make("hopper-base").unwrapped
+    for untouched in (second, third):
+        assert untouched.model.body_mass[1] == mass
+        assert untouched.model.opt.gravity[2] == -9.81
+
+
 def test_a_variant_of_another_robot_is_refused() -> None:
     from imujoco_minari.envs import HopperVariantEnv
 

@@ -220,10 +220,16 @@ def _summarise() -> None:
             if shares:
                 below = sum(share < 0.95 for share in shares)
                 numbers = [f"{median(shares):.2f}", f"{min(shares):.2f}", str(below)]
-            hours = sum(record["wall_seconds"] for record in records) / 3600
+            hours = sum(map(_seconds, records)) / 3600
             rows.append([robot, category, str(len(records)), str(len(listed)), *numbers, f"{hours:.1f}"])
     print_table(columns, rows, numeric=columns[2:])
     out.print("\nmedian and min: return as a share of the base expert's")
+
+
+def _seconds(record: dict[str, Any]) -> float:
+    """Return how long a record's policy was trained, and what it was improved from before."""
+    before = record.get("before")
+    return float(record["wall_seconds"]) + (_seconds(before) if before else 0.0)
 
 
 def _share(record: dict[str, Any]) -> float | None:
