@@ -14,23 +14,11 @@ import h5py
 import minari
 import numpy as np
 import pytest
+from processes import running
 
 from imujoco_minari import roots, writing
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for orphans in /proc")
-
-
-def running(session: int) -> list[str]:
-    """Return the commands of a session's processes that are no zombies."""
-    found = []
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = stat.read_text().rpartition(")")[2].split()
-            if int(fields[3]) == session and fields[0] != "Z":
-                found.append((stat.parent / "cmdline").read_text().replace("\0", " "))
-        except OSError:
-            continue
-    return found
 
 
 @pytest.mark.parametrize("whole_group", [True, False], ids=["as a terminal does", "the parent only"])

@@ -12,6 +12,7 @@ from pathlib import Path
 import h5py
 import minari
 import pytest
+from processes import alive
 
 from imujoco_minari import content, roots
 from imujoco_minari.errors import DatasetError, DependencyError, JobError
@@ -67,14 +68,6 @@ def work(folder):
 if __name__ == "__main__":
     list(run_jobs(work, sys.argv[1:] * 2, jobs=2))
 """
-
-
-def alive(pid):
-    try:
-        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
-    except OSError:
-        return False
-    return state != "Z"
 
 
 def wait_for(condition):

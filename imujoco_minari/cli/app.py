@@ -58,14 +58,12 @@ def main() -> None:
         if not interrupts:
             raise
         code = INTERRUPTED
-    if interrupts and code:
-        code = INTERRUPTED
-    if code == INTERRUPTED:
+    if code == INTERRUPTED or (code and interrupts):
         # All is cleaned up by now. The interpreter's own farewell would take HDF5 files that were
         # interrupted in their closing apart in any order, and complain.
         sys.stdout.flush()
         sys.stderr.flush()
-        os._exit(code)
+        os._exit(INTERRUPTED)
     sys.exit(code)
 
 

@@ -174,13 +174,13 @@ def policies(
 
     Examples: `imujoco policies --robot hopper`, `imujoco policies --summary`
     """
+    if summary and not as_json:
+        _summarise()
+        return
     chosen = [v for v in expert_variants() if robot in (None, v.robot) and category in (None, v.category)]
     records = [dict(expert_record(variant)) for variant in chosen]
     if as_json:
         print_json(records)
-        return
-    if summary:
-        _summarise()
         return
     columns = ("variant", "algorithm", "start", "steps", "return", "std", "min", "of base", "length")
     rows = [_row(variant, record) for variant, record in zip(chosen, records, strict=True)]

@@ -48,7 +48,7 @@ class Policy(Protocol):
 
     @property
     def algorithm(self) -> str:
-        """Name of the algorithm that made the policy, as in ``TQC`` or ``random``."""
+        """Name of the algorithm that made the policy, as in ``CrossQ`` or ``random``."""
 
     @property
     def sha256(self) -> str:

@@ -93,11 +93,7 @@ def train(variant: Variant, plan: Plan, on_interval: Any = None) -> Trained:
         done = expert_record(variant, plan.policies)
         if done and not plan.improve:
             return Trained(variant, dict(done))
-        run = Run(task(variant, plan), folder, device=plan.device)
-        try:
-            record = run.train(on_interval)
-        finally:
-            run.close()
+        record = _run(task(variant, plan), folder, plan, on_interval)
         better = not done or _score(record) > _score(done)
         if better:
             before = {"before": {key: done.get(key) for key in _HISTORY}} if done else {}
@@ -105,6 +101,15 @@ def train(variant: Variant, plan: Plan, on_interval: Any = None) -> Trained:
         # The replay buffer alone is tens of megabytes.
         shutil.rmtree(folder)
     return Trained(variant, record if better else dict(done), created=better)
+
+
+def _run(work: Task, folder: Path, plan: Plan, on_interval: Any = None) -> dict[str, Any]:
+    """Run a task, or the rest of it, to its end and return the record of its best actor."""
+    run = Run(work, folder, device=plan.device)
+    try:
+        return run.train(on_interval)
+    finally:
+        run.close()
 
 
 def train_generalist(robot: str, plan: Plan) -> Trained:
@@ -120,23 +125,16 @@ def train_generalist(robot: str, plan: Plan) -> Trained:
             return Trained(name, done)
         base = Variant.parse(f"{robot}-{BASE}")
         start = base_start(base, plan.policies)
-        run = Run(
-            Task(
-                base,
-                hyperparameters(robot, GENERALIST, **plan.changes),
-                plan.seed,
-                start=start.name,
-                agent=start.agent,
-                start_sha256=start.sha256,
-                among=(base, *catalogue(robot)),
-            ),
-            folder,
-            device=plan.device,
+        whole = Task(
+            base,
+            hyperparameters(robot, GENERALIST, **plan.changes),
+            plan.seed,
+            start=start.name,
+            agent=start.agent,
+            start_sha256=start.sha256,
+            among=(base, *catalogue(robot)),
         )
-        try:
-            record = run.train() | {"variant": name}
-        finally:
-            run.close()
+        record = _run(whole, folder, plan) | {"variant": name}
         target.mkdir(parents=True, exist_ok=True)
         write_json(target / f"{name}.agent.json", record)
         # The agent comes last: it says that the generalist is there.

@@ -30,6 +30,7 @@ from imujoco_minari.variants import Variant
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from campaigns.crash import visible
 from original_archive import write_archive
+from processes import running
 
 A, B = "imujoco/hopper-base-random-v0", "imujoco/hopper-massdec_25_leggeom-random-v0"
 ALL = "imujoco/hopper-all-random-v0"
@@ -186,8 +187,8 @@ class Trials:
     def _gone(self, session: int) -> None:
         """Wait for the workers of a command that is gone; they have seconds."""
         end = time.monotonic() + 10
-        while members(session):
-            assert time.monotonic() < end, f"{len(members(session))} processes outlived their command"
+        while running(session):
+            assert time.monotonic() < end, f"{len(running(session))} processes outlived their command"
             time.sleep(0.02)
 
     def _run(self, words: tuple[str, ...]) -> subprocess.CompletedProcess[str]:
@@ -224,19 +225,6 @@ def _wait_for_start(process: subprocess.Popen[str]) -> None:
             if "_multiarray_umath" in Path(f"/proc/{process.pid}/maps").read_text():
                 return
         time.sleep(0.01)
-
-
-def members(session: int) -> list[int]:
-    """Return the processes of a session."""
-    found = []
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = stat.read_text().rpartition(")")[2].split()
-        except OSError:
-            continue
-        if int(fields[3]) == session and fields[0] != "Z":
-            found.append(int(stat.parent.name))
-    return found
 
 
 def main() -> None:
