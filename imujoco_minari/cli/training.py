@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -26,7 +25,7 @@ from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS, Variant, bases, ca
 
 if TYPE_CHECKING:
     from imujoco_minari.training.hyperparameters import Hyperparameters
-    from imujoco_minari.training.run import Progress
+    from imujoco_minari.training.run import OnInterval, Progress
     from imujoco_minari.training.sweep import Plan, Trained
 
 policy = typer.Typer(help="Take a policy elsewhere.", no_args_is_help=True)
@@ -113,18 +112,17 @@ def _record(chosen: list[Variant], plan: Plan, as_json: bool) -> None:
     for variant in chosen:
         # All of the run is wanted, not the shortest way to a target.
         whole = replace(task(variant, plan), target=float("inf"))
-        tell = _teller(whole.settings, as_json)
-        outcomes.append(record_replay(whole, plan.state / f"{variant}-replay", on_interval=tell))
+        outcomes.append(record_replay(whole, plan.state / f"{variant}-replay", on_interval=_teller(as_json)))
         if not as_json:
             report(outcomes[-1], quiet=False)
     if as_json:
         print_json([vars(outcome) for outcome in outcomes])
 
 
-def _teller(hyperparameters: Hyperparameters, quiet: bool) -> Callable[[Progress], None]:
+def _teller(quiet: bool) -> OnInterval:
     """Return what prints a line after each evaluation, with the time that is left at most."""
 
-    def tell(state: Progress) -> None:
+    def tell(state: Progress, hyperparameters: Hyperparameters) -> None:
         last = state.evaluations[-1] if state.evaluations else None
         if quiet or last is None or last["steps"] != state.steps:
             return
@@ -140,9 +138,9 @@ def _teller(hyperparameters: Hyperparameters, quiet: bool) -> Callable[[Progress
 
 
 def _train_one(variant: Variant, plan: Plan, quiet: bool) -> Trained:
-    from imujoco_minari.training.sweep import settings, train
+    from imujoco_minari.training.sweep import train
 
-    outcome = train(variant, plan, _teller(settings(variant, plan), quiet))
+    outcome = train(variant, plan, _teller(quiet))
     _report(outcome, quiet)
     return outcome
 
@@ -175,7 +173,7 @@ def policies(
     Examples: `imujoco policies --robot hopper`, `imujoco policies --summary`
     """
     if summary and not as_json:
-        _summarise()
+        _summarise([robot] if robot else list(ROBOTS), [category] if category else [BASE, *CATEGORIES])
         return
     chosen = [v for v in expert_variants() if robot in (None, v.robot) and category in (None, v.category)]
     records = [dict(expert_record(variant)) for variant in chosen]
@@ -203,14 +201,14 @@ def export(
     out.print(f"wrote {written}: `stable_baselines3.SAC.load({str(written)!r})` opens it")
 
 
-def _summarise() -> None:
+def _summarise(robots: list[str], categories: list[str]) -> None:
     """Print, for each robot and category, how the experts compare with their base's, and what they took."""
     from statistics import median
 
     columns = ("robot", "category", "policies", "of", "median", "min", "below 0.95", "core-hours")
     rows = []
-    for robot in ROBOTS:
-        for category in (BASE, *CATEGORIES):
+    for robot in robots:
+        for category in categories:
             listed = (
                 [v for v in bases() if v.robot == robot] if category == BASE else catalogue(robot, category)
             )

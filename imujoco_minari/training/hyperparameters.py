@@ -10,7 +10,7 @@ from typing import Any
 
 from imujoco_minari.errors import CatalogueError
 
-SCRATCH, WARM, GENERALIST, IMPROVE = _STARTS = ("scratch", "warm", "generalist", "improve")
+SCRATCH, WARM, NEAR, GENERALIST, IMPROVE = _STARTS = ("scratch", "warm", "near", "generalist", "improve")
 
 
 @dataclass(frozen=True)
@@ -25,6 +25,8 @@ class Hyperparameters:
         policy_delay: updates of the critics for each of the actor.
         batch_size: transitions an update.
         learning_rate: of actor, critics and entropy coefficient.
+        settling_rate: the learning rate of the last steps.
+        settling_steps: how many those are.
         gamma: discount factor.
         exploration_steps: steps before the first update, random or of the loaded policy.
         evaluate_every: steps between two evaluations, which are also the checkpoints.
@@ -41,6 +43,8 @@ class Hyperparameters:
     policy_delay: int
     batch_size: int
     learning_rate: float
+    settling_rate: float
+    settling_steps: int
     gamma: float
     exploration_steps: int
     evaluate_every: int
@@ -48,6 +52,11 @@ class Hyperparameters:
     ranking_episodes: int
     choosing_episodes: int
     confirming_episodes: int
+
+    def rate(self, steps: int) -> float:
+        """Return the learning rate after so many environment steps."""
+        settling = steps >= self.max_steps - self.settling_steps
+        return self.settling_rate if settling else self.learning_rate
 
     def asdict(self) -> dict[str, Any]:
         """Return the fields as a dict for JSON."""
@@ -59,8 +68,8 @@ def hyperparameters(robot: str, start: str, **changes: Any) -> Hyperparameters:
 
     Args:
         robot: its name.
-        start: ``scratch``, ``warm`` (from another's agent), ``generalist`` (that too, over all variants)
-            or ``improve`` (from its own agent).
+        start: ``scratch``, ``warm`` (from another's agent), ``near`` (from another's that does nearly as
+            well as is asked), ``generalist`` (another's, over all variants) or ``improve`` (its own).
         **changes: what differs from the file.
 
     Raises:

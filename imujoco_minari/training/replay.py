@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from imujoco_minari.publishing import External, Published, publish_episodes
 from imujoco_minari.references import reference_scores
 from imujoco_minari.registration import environment_spec
 from imujoco_minari.tiers import REPLAY
-from imujoco_minari.training.run import Progress, Run, Task
+from imujoco_minari.training.run import OnInterval, Progress, Run, Task
 
 
 class ReplayCollector(FolderCollector):
@@ -35,7 +35,7 @@ class ReplayCollector(FolderCollector):
 
 
 def record_replay(
-    task: Task, folder: Path, *, force: bool = False, on_interval: Callable[[Progress], None] | None = None
+    task: Task, folder: Path, *, force: bool = False, on_interval: OnInterval | None = None
 ) -> Published:
     """Train a task to its last step and publish all its whole episodes as the variant's tier ``replay``.
 
@@ -46,7 +46,7 @@ def record_replay(
         task: what to train.
         folder: state of the run; what is there is discarded.
         force: replace a dataset that has the id.
-        on_interval: called with the run's progress after every evaluation.
+        on_interval: called with the run's progress and hyperparameters after every evaluation.
     """
     shutil.rmtree(folder, ignore_errors=True)
     collectors: list[ReplayCollector] = []

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -99,6 +99,10 @@ class Progress:
     episodes: int = 0
 
 
+# What is called after every evaluation.
+OnInterval = Callable[[Progress, Hyperparameters], None]
+
+
 class SeededResets(gym.Wrapper[Any, Any, Any, Any]):
     """Give every reset a seed of its own, numbered by ``episodes``, whatever the caller asks."""
 
@@ -136,21 +140,25 @@ class Run:
         (folder / "ladder").mkdir(exist_ok=True)
         self._env = SeededResets(wrap(task.environment()), task.seed)
         self._judge = task.environment()
-        self._agent = make_agent(self._env, task.settings, task.seed, device)
+        self._device = device
         self._checkpoint_file = folder / _CHECKPOINT
-        if self._checkpoint_file.is_file():
-            self._resume()
+        arrays = load_arrays(self._checkpoint_file) if self._checkpoint_file.is_file() else {}
+        if arrays:
+            self.progress = Progress(**json.loads(arrays["progress"].tobytes()))
+        self._agent = self._new_agent()
+        if arrays:
+            self._resume(arrays)
         elif task.agent:
             restore_agent(self._agent, task.agent)
 
-    def train(self, on_interval: Callable[[Progress], None] | None = None) -> dict[str, Any]:
+    def train(self, on_interval: OnInterval | None = None) -> dict[str, Any]:
         """Train to the target or the last step, and return the record of the best actor."""
         if self.task.agent and not self.progress.intervals:
             self._judge_actor(time.monotonic())
         while not self.finished:
             self._interval()
             if on_interval is not None:
-                on_interval(self.progress)
+                on_interval(self.progress, self.task.settings)
         return self._record()
 
     @property
@@ -166,9 +174,25 @@ class Run:
         self._env.close()
         self._judge.close()
 
+    def _new_agent(self) -> Any:
+        """Return a new agent, with the learning rate that the run's progress has."""
+        self._rate = self.task.settings.rate(self.progress.steps)
+        settings = replace(self.task.settings, learning_rate=self._rate)
+        return make_agent(self._env, settings, self.task.seed, self._device)
+
+    def _change_rate(self) -> None:
+        """Go on with another learning rate; an agent keeps the one that it was made with."""
+        before, self._agent = self._agent, self._new_agent()
+        restore_agent(self._agent, agent_arrays(before))
+        self._agent.replay_buffer = before.replay_buffer
+        self._agent.num_timesteps, self._agent._n_updates = before.num_timesteps, before._n_updates
+
     def _interval(self) -> None:
         begin = time.monotonic()
-        settings, agent, progress = self.task.settings, self._agent, self.progress
+        settings, progress = self.task.settings, self.progress
+        if self._rate != settings.rate(progress.steps):
+            self._change_rate()
+        agent = self._agent
         # Stable-Baselines3 draws replay samples from NumPy's global generator.
         np.random.seed(episode_seed(self.task.seed, 1_000_000 + progress.intervals))
         agent.action_space.seed(episode_seed(self.task.seed, 2_000_000 + progress.intervals))
@@ -227,9 +251,7 @@ class Run:
             },
         )
 
-    def _resume(self) -> None:
-        arrays = load_arrays(self._checkpoint_file)
-        self.progress = Progress(**json.loads(arrays["progress"].tobytes()))
+    def _resume(self, arrays: dict[str, Array]) -> None:
         restore_agent(self._agent, _below("agent/", arrays))
         buffer = self._agent.replay_buffer
         for name, array in _below("buffer/", arrays).items():

@@ -7,7 +7,7 @@ in which variant it walks; but on a far variant it falls less than the base's do
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,11 +26,19 @@ START_SEED = 1_000_005
 
 @dataclass(frozen=True)
 class Start:
-    """An agent to start from: its name, the digest of its actor as its record has it, its arrays."""
+    """An agent to start from.
+
+    Attributes:
+        name: of the agent.
+        sha256: digest of its actor, as its record has it.
+        agent: its arrays.
+        score: mean less deviation of its return on the variant, where that was asked.
+    """
 
     name: str
     sha256: str
     agent: dict[str, Array] = field(repr=False)
+    score: float = float("-inf")
 
 
 def generalist_name(robot: str) -> str:
@@ -65,20 +73,19 @@ def best_start(variant: Variant, policies: Path | None = None) -> Start:
     Raises:
         PolicyNotFoundError: when the base's agent is not there.
     """
-    base, path = base_start(variant, policies), agent_file(generalist_name(variant.robot), policies)
-    if path is None:
-        return base
-    record = generalist_record(variant.robot, policies)
-    generalist = Start(generalist_name(variant.robot), str(record["weights_sha256"]), load_arrays(path))
+    starts, path = [base_start(variant, policies)], agent_file(generalist_name(variant.robot), policies)
+    if path is not None:
+        record = generalist_record(variant.robot, policies)
+        starts.append(Start(generalist_name(variant.robot), str(record["weights_sha256"]), load_arrays(path)))
     env = make(variant, disable_env_checker=True)
     try:
-        return max(base, generalist, key=lambda start: _score(env, variant, start))
+        return max((_scored(env, variant.robot, start) for start in starts), key=lambda start: start.score)
     finally:
         env.close()
 
 
-def _score(env: Env[Any, Any], variant: Variant, start: Start) -> float:
-    settings = hyperparameters(variant.robot, WARM)
+def _scored(env: Env[Any, Any], robot: str, start: Start) -> Start:
+    settings = hyperparameters(robot, WARM)
     actor = actor_of(agent_actor(start.agent), settings.algorithm)
     score = evaluate(env, actor, episodes=settings.ranking_episodes, seed=START_SEED)
-    return score.return_mean - score.return_std
+    return replace(start, score=score.return_mean - score.return_std)

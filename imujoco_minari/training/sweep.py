@@ -23,18 +23,20 @@ from imujoco_minari.training.agents import load_arrays, save_arrays
 from imujoco_minari.training.hyperparameters import (
     GENERALIST,
     IMPROVE,
+    NEAR,
     SCRATCH,
     WARM,
-    Hyperparameters,
     hyperparameters,
 )
 from imujoco_minari.training.ladder import keep_rungs, measure_ladder, rungs_of
-from imujoco_minari.training.run import Run, Task, load_progress, write_json
+from imujoco_minari.training.run import OnInterval, Run, Task, load_progress, write_json
 from imujoco_minari.training.starts import base_start, best_start, generalist_name, generalist_record
 from imujoco_minari.variants import BASE, Variant, catalogue
 
 # A variant's run ends when its actor is as good as this share of the base expert's return.
 TARGET_SHARE = 0.98
+# A start that has this share of what is asked needs smaller steps, not more.
+NEAR_SHARE = 0.9
 
 
 @dataclass(frozen=True)
@@ -74,13 +76,13 @@ class Trained:
     error: str = ""
 
 
-def train(variant: Variant, plan: Plan, on_interval: Any = None) -> Trained:
+def train(variant: Variant, plan: Plan, on_interval: OnInterval | None = None) -> Trained:
     """Train one variant, or take up its training where it was, and put its policy in place.
 
     Args:
         variant: any variant of the grammar.
         plan: how.
-        on_interval: called with the run's progress after every evaluation.
+        on_interval: called with the run's progress and hyperparameters after every evaluation.
 
     Raises:
         ImujocoError: when the base agent to start from is not there, or another process is at it.
@@ -103,7 +105,7 @@ def train(variant: Variant, plan: Plan, on_interval: Any = None) -> Trained:
     return Trained(variant, record if better else dict(done), created=better)
 
 
-def _run(work: Task, folder: Path, plan: Plan, on_interval: Any = None) -> dict[str, Any]:
+def _run(work: Task, folder: Path, plan: Plan, on_interval: OnInterval | None = None) -> dict[str, Any]:
     """Run a task, or the rest of it, to its end and return the record of its best actor."""
     run = Run(work, folder, device=plan.device)
     try:
@@ -207,28 +209,26 @@ def task(variant: Variant, plan: Plan) -> Task:
         PolicyNotFoundError: when the agent to start from is not there.
     """
     record = expert_record(variant.base, plan.policies)
-    whole = float("inf") if plan.target is None else plan.target
-    if plan.scratch or (variant.category == BASE and not (plan.improve and record)):
-        return Task(variant, settings(variant, plan), plan.seed, target=whole)
+    target = float("inf") if plan.target is None else plan.target
+    improving = plan.improve and bool(expert_record(variant, plan.policies))
+    if plan.scratch or (variant.category == BASE and not improving):
+        settings = hyperparameters(variant.robot, SCRATCH, **plan.changes)
+        return Task(variant, settings, plan.seed, target=target)
     start = best_start(variant, plan.policies)
-    target = TARGET_SHARE * _score(record) if plan.target is None and not plan.improve else whole
+    asked = TARGET_SHARE * _score(record)
+    if plan.target is None and not improving:
+        target = asked
+    near = NEAR if start.score >= NEAR_SHARE * asked else WARM
+    settings = hyperparameters(variant.robot, IMPROVE if variant.category == BASE else near, **plan.changes)
     return Task(
         variant,
-        settings(variant, plan),
+        settings,
         plan.seed,
         start=start.name,
         agent=start.agent,
         start_sha256=start.sha256,
         target=target,
     )
-
-
-def settings(variant: Variant, plan: Plan) -> Hyperparameters:
-    """Return the hyperparameters that the plan has for a variant."""
-    start = SCRATCH if plan.scratch or variant.category == BASE else WARM
-    if plan.improve and not plan.scratch and expert_record(variant, plan.policies):
-        start = IMPROVE
-    return hyperparameters(variant.robot, start, **plan.changes)
 
 
 def _in_order(variants: Sequence[Variant], plan: Plan) -> Iterator[list[Variant | str]]:

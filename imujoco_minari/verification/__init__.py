@@ -7,7 +7,7 @@ and on the processor architecture that made the dataset; another version is itse
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -18,9 +18,10 @@ import numpy as np
 from imujoco_minari import content, roots
 from imujoco_minari.errors import DatasetNotFoundError, JobError
 from imujoco_minari.parallel import run_jobs
-from imujoco_minari.verification import digests, screening, structure
+from imujoco_minari.verification import digests, screening
 from imujoco_minari.verification.findings import MAX_FINDINGS, Checked, Finding, shown
-from imujoco_minari.verification.identity import identity, loadable, original_models, read_metadata
+from imujoco_minari.verification.identity import original_models, read_metadata
+from imujoco_minari.verification.parts import check, unreadable
 from imujoco_minari.verification.replay import replay
 
 __all__ = ["Checked", "Finding", "check", "inspect", "verify"]
@@ -53,7 +54,7 @@ def verify(
             f"{dataset_id} is not in the Minari root, at {folder}; see `minari list local`"
         )
     data = folder / "data"
-    checked = screening.checked_apart(data)
+    checked = screening.checked_apart(data, jobs if backend is None else 1)
     if isinstance(checked, Finding):
         # What killed or held the child was HDF5; the files' own digests need none.
         metadata = read_metadata(data)
@@ -93,51 +94,6 @@ def inspect(
     return _first(findings, data)
 
 
-def check(data: Path) -> Checked:
-    """Check the Minari storage in the folder ``data`` in all but the replay of its episodes."""
-    findings: list[Finding] = []
-    replayable = False
-    try:
-        for finding in _checks(data):
-            if finding is None:
-                replayable = True
-            else:
-                findings.append(finding)
-            if len(findings) >= MAX_FINDINGS:
-                break
-    except Exception as error:  # h5py raises anything at all on a damaged file; none of it is ours
-        findings.append(_unreadable(data, error))
-        replayable = False
-    return Checked(_first(findings, data), replayable)
-
-
-def _checks(data: Path) -> Iterator[Finding | None]:
-    """Yield what is wrong, and None where the episodes prove to be whole."""
-    for name in ("metadata.json", content.MAIN_FILE):
-        if not (data / name).is_file():
-            yield Finding(name, "is missing")
-            return
-    metadata = read_metadata(data)
-    if not metadata:
-        yield Finding("metadata.json", "is no JSON object")
-        return
-    yield from digests.files(data, metadata)
-    unloadable = list(loadable(metadata))
-    yield from unloadable
-    with h5py.File(content.main_file(data), "r") as file:
-        unreadable = list(structure.readable(file, data))
-        yield from unreadable
-        if unreadable:
-            return
-        broken = list(structure.episodes(file, metadata))
-        yield from broken
-        if broken or unloadable:
-            return
-        yield from identity(file, metadata)
-        yield from digests.arrays(file, metadata)
-        yield None
-
-
 def _replayed(
     data: Path, numbers: range | None, on_episode: Callable[[], None] | None = None
 ) -> list[Finding]:
@@ -153,7 +109,7 @@ def _replayed(
                 if len(findings) >= MAX_FINDINGS:
                     break
     except Exception as error:  # as above
-        findings.append(_unreadable(data, error))
+        findings.append(unreadable(data, error))
     return findings
 
 
@@ -185,7 +141,3 @@ def _first(findings: list[Finding], data: Path) -> list[Finding]:
     if len(findings) < MAX_FINDINGS:
         return findings
     return [*findings[:MAX_FINDINGS], Finding(str(data), f"stopped after {MAX_FINDINGS} findings")]
-
-
-def _unreadable(data: Path, error: Exception) -> Finding:
-    return Finding(str(data), f"cannot be read: {type(error).__name__}: {str(error)[:200]}")

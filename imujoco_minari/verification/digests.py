@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import h5py
-
 from imujoco_minari import content
 from imujoco_minari.verification.findings import Finding, same, shown
+from imujoco_minari.verification.looking import Episode
 
 
-def files(data: Path, metadata: dict[str, Any]) -> Iterator[Finding]:
+def files(data: Path, metadata: Mapping[str, Any]) -> Iterator[Finding]:
     """Report files that have changed since they were sealed, in whatever byte."""
     for key, name, digest in (
         (content.METADATA_DIGEST, "metadata.json", content.metadata_sha256(metadata)),
@@ -24,34 +23,43 @@ def files(data: Path, metadata: dict[str, Any]) -> Iterator[Finding]:
             yield Finding(name, f"has changed since it was published: its digest is not {key}")
 
 
-def arrays(file: h5py.File, metadata: dict[str, Any]) -> Iterator[Finding]:
-    """Report arrays without the digest stored with them, and a dataset whose arrays are not its own."""
-    intact = True
-    for number in range(len(file)):
-        group, digests = file[f"episode_{number}"], {}
-        for key, array in content.arrays(group):
-            digests[key] = content.array_sha256(array[()])
-            stated = array.attrs.get(content.DIGEST)
-            if not isinstance(stated, str) or stated != digests[key]:
-                intact = False
-                yield Finding(
-                    f"episode_{number}/{key}",
-                    "does not have the digest stored with it" if stated is not None else "has no digest",
-                )
-        if not same(group.attrs.get(content.DIGEST), content.episode_sha256(digests)):
-            intact = False
-            yield Finding(f"episode_{number}@{content.DIGEST}", "is not the digest of the episode's arrays")
-    if not intact or ("content_sha256" not in {**file.attrs, **metadata} and _links(file)):
+def arrays(episode: Episode, read: Mapping[str, Any]) -> Iterator[Finding]:
+    """Report arrays of an episode without the digest stored with them, and an episode without its own.
+
+    Args:
+        episode: the episode.
+        read: the values of those of its arrays that have been read.
+    """
+    digests = {}
+    for key, array in sorted(episode.arrays.items()):
+        digests[key] = content.array_sha256(read[key] if key in read else array.read())
+        stated = array.attributes.get(content.DIGEST)
+        if not isinstance(stated, str) or stated != digests[key]:
+            yield Finding(
+                f"{episode.name}/{key}",
+                "does not have the digest stored with it" if stated is not None else "has no digest",
+            )
+    if not same(episode.attributes.get(content.DIGEST), content.episode_sha256(digests)):
+        yield Finding(f"{episode.name}@{content.DIGEST}", "is not the digest of the episode's arrays")
+
+
+def whole(
+    episodes: Sequence[str], root: Mapping[str, Any], metadata: Mapping[str, Any], linked: bool
+) -> Iterator[Finding]:
+    """Report a dataset whose episodes are not its own.
+
+    Args:
+        episodes: the digests of its episodes, in their order.
+        root: the attributes of its file.
+        metadata: what its ``metadata.json`` says.
+        linked: it is a linked collection, which keeps no digest of what lies elsewhere.
+    """
+    if linked and "content_sha256" not in {**root, **metadata}:
         return
-    digest = content.content_sha256(file, len(file))
+    digest = content.dataset_sha256(episodes)
     for where, stated in (
-        ("@content_sha256", file.attrs.get("content_sha256")),
+        ("@content_sha256", root.get("content_sha256")),
         ("metadata.json/content_sha256", metadata.get("content_sha256")),
     ):
         if not isinstance(stated, str) or stated != digest:
             yield Finding(where, f"is {shown(stated)}, but the content's is {digest}")
-
-
-def _links(file: h5py.File) -> bool:
-    """Return whether the file is a linked collection, which keeps no digest of what lies elsewhere."""
-    return all(isinstance(file.get(name, getlink=True), h5py.ExternalLink) for name in file)

@@ -7,11 +7,9 @@ there, at ``recover_environment()`` and, where a space is missing, at ``load_dat
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
-
-import h5py
 
 from imujoco_minari import content
 from imujoco_minari.errors import ImujocoError
@@ -28,6 +26,7 @@ from imujoco_minari.policies import SIZES
 from imujoco_minari.registration import collection_spec, environment_spec
 from imujoco_minari.variants import Variant
 from imujoco_minari.verification.findings import Finding, plain, same, shown
+from imujoco_minari.verification.looking import Episode
 from imujoco_minari.verification.replay import simulator
 
 MAX_METADATA_BYTES = 2**24
@@ -48,7 +47,7 @@ def read_metadata(data: Path) -> dict[str, Any]:
     return metadata if isinstance(metadata, dict) else {}
 
 
-def loadable(metadata: dict[str, Any]) -> Iterator[Finding]:
+def loadable(metadata: Mapping[str, Any]) -> Iterator[Finding]:
     """Report metadata with which stock Minari could not load the dataset, or would run what is not ours."""
     if metadata.get("data_format") != "hdf5":
         yield Finding("metadata.json/data_format", f"is {shown(metadata.get('data_format'))}, not 'hdf5'")
@@ -66,7 +65,7 @@ def loadable(metadata: dict[str, Any]) -> Iterator[Finding]:
             yield from _env_spec(f"metadata.json/{key}", metadata[key])
 
 
-def original_models(metadata: dict[str, Any]) -> dict[OriginalVariant, str]:
+def original_models(metadata: Mapping[str, Any]) -> dict[OriginalVariant, str]:
     """Return the models of the original's variants that the dataset's environment holds, if it is of such."""
     if not is_original(metadata) or not isinstance(metadata.get("env_spec"), str):
         return {}
@@ -106,45 +105,59 @@ def _env_spec(where: str, text: Any) -> Iterator[Finding]:
         yield Finding(where, f"gives the environment the arguments {shown(arguments)}")
 
 
-def identity(file: h5py.File, metadata: dict[str, Any]) -> Iterator[Finding]:
-    """Report attributes of root, metadata and episodes that contradict each other or the variant."""
-    variants: dict[Variant, None] = {}
-    collection = "combined_datasets" in metadata
-    for number in range(len(file)):
-        attrs = file[f"episode_{number}"].attrs
-        name = f"episode_{number}"
-        try:
-            variant = variant_of(attrs)
-        except (ImujocoError, KeyError):
-            yield Finding(f"{name}@variant", f"is {shown(attrs.get('variant'))}, which is no variant")
-            continue
-        variants[variant] = None
-        for key, value in content.attributes(variant, str(attrs.get("tier"))).items():
-            if not same(attrs.get(key), value):
-                yield Finding(f"{name}@{key}", f"is {shown(attrs.get(key))}, not {value!r}")
-        if collection:
-            continue
-        for key in ("variant", "tier", CATALOGUE, content.REPLAYABLE):
-            if not same(attrs.get(key), plain(file.attrs.get(key))):
-                yield Finding(
-                    f"{name}@{key}",
-                    f"is {shown(attrs.get(key))}, but the dataset's is {shown(file.attrs.get(key))}",
-                )
+def episode(found: Episode, root: Mapping[str, Any], collection: bool) -> Iterator[Finding | Variant]:
+    """Report attributes of an episode that contradict its variant or its dataset, and yield the variant.
+
+    Args:
+        found: the episode.
+        root: the attributes of its file.
+        collection: whether the dataset combines others, whose attributes may differ from its own.
+    """
+    attrs, name = found.attributes, found.name
+    try:
+        variant = variant_of(attrs)
+    except (ImujocoError, KeyError):
+        yield Finding(f"{name}@variant", f"is {shown(attrs.get('variant'))}, which is no variant")
+        return
+    yield variant
+    for key, value in content.attributes(variant, str(attrs.get("tier"))).items():
+        if not same(attrs.get(key), value):
+            yield Finding(f"{name}@{key}", f"is {shown(attrs.get(key))}, not {value!r}")
+    if collection:
+        return
+    for key in ("variant", "tier", CATALOGUE, content.REPLAYABLE):
+        if not same(attrs.get(key), plain(root.get(key))):
+            yield Finding(
+                f"{name}@{key}", f"is {shown(attrs.get(key))}, but the dataset's is {shown(root.get(key))}"
+            )
+
+
+def whole(
+    root: Mapping[str, Any], metadata: Mapping[str, Any], variants: Sequence[Variant]
+) -> Iterator[Finding]:
+    """Report attributes of root and metadata that contradict each other or the variants of the episodes."""
     if variants:
-        yield from _spaces(metadata, next(iter(variants)))
-        yield from _environment(file, metadata, list(variants))
-    if not collection:
-        yield from _root(file, metadata)
+        yield from _spaces(metadata, variants[0])
+        yield from _environment(root, metadata, variants)
+    if not is_collection(metadata):
+        yield from _root(root, metadata)
 
 
-def _spaces(metadata: dict[str, Any], variant: Variant) -> Iterator[Finding]:
+def is_collection(metadata: Mapping[str, Any]) -> bool:
+    """Return whether a dataset's metadata says that it combines others."""
+    return "combined_datasets" in metadata
+
+
+def _spaces(metadata: Mapping[str, Any], variant: Variant) -> Iterator[Finding]:
     for key, size in zip(_SPACES, SIZES[variant.robot], strict=True):
         shape = json.loads(metadata[key])["shape"]
         if shape != [size]:
             yield Finding(f"metadata.json/{key}", f"is of shape {shown(shape)}, not [{size}]")
 
 
-def _environment(file: h5py.File, metadata: dict[str, Any], variants: list[Variant]) -> Iterator[Finding]:
+def _environment(
+    root: Mapping[str, Any], metadata: Mapping[str, Any], variants: Sequence[Variant]
+) -> Iterator[Finding]:
     """Report an environment that is not the variant's, or not the collection's of all its variants."""
     if metadata.get("env_spec") is None:
         yield Finding("metadata.json/env_spec", "is missing: no environment can be recovered")
@@ -153,8 +166,8 @@ def _environment(file: h5py.File, metadata: dict[str, Any], variants: list[Varia
     originals = [variant for variant in variants if isinstance(variant, OriginalVariant)]
     if originals:
         stated = models_of(spec.get("kwargs"))
-        if "mjcf" in file.attrs:
-            stated = {originals[0]: str(file.attrs["mjcf"])}
+        if "mjcf" in root:
+            stated = {originals[0]: str(root["mjcf"])}
         expected = originals_spec("", {variant: stated.get(variant, "") for variant in originals})
     elif len(variants) == 1:
         expected = environment_spec(variants[0])
@@ -167,21 +180,21 @@ def _environment(file: h5py.File, metadata: dict[str, Any], variants: list[Varia
             )
 
 
-def _root(file: h5py.File, metadata: dict[str, Any]) -> Iterator[Finding]:
+def _root(root: Mapping[str, Any], metadata: Mapping[str, Any]) -> Iterator[Finding]:
     try:
-        variant = variant_of(file.attrs)
-        text, digest = str(file.attrs["mjcf"]), plain(file.attrs["mjcf_sha256"])
+        variant = variant_of(root)
+        text, digest = str(root["mjcf"]), plain(root["mjcf_sha256"])
     except (ImujocoError, KeyError) as error:
         yield Finding(content.MAIN_FILE, f"lacks a true attribute of its variant: {str(error)[:120]}")
         return
-    for key, value in content.attributes(variant, str(file.attrs.get("tier"))).items():
-        if not same(file.attrs.get(key), value):
-            yield Finding(f"@{key}", f"is {shown(file.attrs.get(key))}, not {value!r}")
+    for key, value in content.attributes(variant, str(root.get("tier"))).items():
+        if not same(root.get(key), value):
+            yield Finding(f"@{key}", f"is {shown(root.get(key))}, not {value!r}")
     for key in (*content.attributes(variant, ""), CATALOGUE, content.REPLAYABLE):
-        if not same(metadata.get(key), plain(file.attrs.get(key))):
+        if not same(metadata.get(key), plain(root.get(key))):
             yield Finding(
                 f"metadata.json/{key}",
-                f"is {shown(metadata.get(key))}, but the file's is {shown(file.attrs.get(key))}",
+                f"is {shown(metadata.get(key))}, but the file's is {shown(root.get(key))}",
             )
     if metadata.get("mjcf_sha256") != digest:
         yield Finding("metadata.json/mjcf_sha256", f"is {shown(metadata.get('mjcf_sha256'))}, not {digest}")

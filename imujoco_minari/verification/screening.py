@@ -12,26 +12,30 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 from imujoco_minari import content
 from imujoco_minari.verification.findings import Checked, Finding
+from imujoco_minari.verification.identity import read_metadata
+from imujoco_minari.verification.parts import Part, merge
 
 MAX_MEMORY_BYTES = 2**33
 # What the slowest disk worth the name needs, beside a start on a busy machine.
 _START_SECONDS, _BYTES_PER_SECOND = 60, 2 * 2**20
+# A child starts in the time in which it checks about a hundred.
+_EPISODES_A_CHILD = 50
 
 _BEGIN = """
 import json, resource, sys
-limit, place, sys.path[:] = json.loads(sys.argv[1])
+limit, place, number, count, sys.path[:] = json.loads(sys.argv[1])
 resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
 resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 """
 _CHECK = """
 from pathlib import Path
-from imujoco_minari.verification import check
-checked = check(Path(place))
-json.dump([[(f.where, f.what) for f in checked.findings], checked.replayable], sys.stdout)
+from imujoco_minari.verification.parts import check_part
+print(check_part(Path(place), number, count).to_json())
 """
 # All but the numbers in the arrays, which HDF5 copies without looking. What raises is told by who reads it.
 _WALK = """
@@ -55,45 +59,74 @@ def survives(data: Path) -> Finding | None:
 
 def survives_walk(path: Path) -> Finding | None:
     """Read what an HDF5 file of any kind says of its arrays, as :func:`survives` does."""
-    said = _apart(_WALK, path, path)
+    (said,) = _apart(_WALK, path, path)
     return said if isinstance(said, Finding) else None
 
 
-def checked_apart(data: Path) -> Checked | Finding:
-    """Check a dataset in a child process and return what that found, or what became of it."""
-    said = _apart(_CHECK, data, content.main_file(data))
-    if isinstance(said, Finding):
-        return said
+def checked_apart(data: Path, jobs: int = 1) -> Checked | Finding:
+    """Check a dataset in child processes and return what they found, or what became of one of them.
+
+    Args:
+        data: the folder of the dataset's storage.
+        jobs: how many children at once, each with a part of the episodes.
+    """
+    stated = read_metadata(data).get("total_episodes")
+    count = max(1, min(jobs, stated // _EPISODES_A_CHILD)) if isinstance(stated, int) else 1
+    parts = []
+    for said in _apart(_CHECK, data, content.main_file(data), count):
+        part = said if isinstance(said, Finding) else _part(said)
+        if isinstance(part, Finding):
+            return part
+        parts.append(part)
+    return merge(data, parts)
+
+
+def _part(said: bytes) -> Part | Finding:
     try:
         # The last line: a library may have said something before.
-        findings, replayable = json.loads(said.splitlines()[-1])
-    except (ValueError, IndexError):
+        return Part.from_json(said.splitlines()[-1])
+    except (ValueError, TypeError, KeyError, IndexError):
         return Finding(content.MAIN_FILE, "cannot be read: the process that read it gave no answer")
-    return Checked([Finding(where, what) for where, what in findings], replayable)
 
 
-def _apart(code: str, place: Path, file: Path) -> bytes | Finding:
-    """Run ``code`` on ``place`` in a child process; return what it says, or what became of it."""
+def _apart(code: str, place: Path, file: Path, count: int = 1) -> list[bytes | Finding]:
+    """Run ``code`` on ``place`` in ``count`` child processes; return what each says, or what became of it."""
     seconds = _START_SECONDS + _size(file) // _BYTES_PER_SECOND
     environment = {key: value for key, value in os.environ.items() if not key.startswith("HDF5_EXT")}
-    arguments = json.dumps([MAX_MEMORY_BYTES, str(place.absolute()), sys.path])
+    deadline = time.monotonic() + seconds
+    children: list[subprocess.Popen[bytes]] = []
     try:
-        done = subprocess.run(
-            [sys.executable, "-c", _BEGIN + code, arguments],
-            env=environment | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
-            capture_output=True,
-            timeout=seconds,
-            check=False,
-        )
+        for number in range(count):
+            arguments = json.dumps([MAX_MEMORY_BYTES, str(place.absolute()), number, count, sys.path])
+            children.append(
+                subprocess.Popen(
+                    [sys.executable, "-c", _BEGIN + code, arguments],
+                    env=environment | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.PIPE,
+                    stderr=subprocess.PIPE,
+                )
+            )
+        # By turns: one that waits to be heard has done its work.
+        return [_heard(child, deadline, seconds, file) for child in children]
+    finally:
+        for child in children:
+            child.kill()
+            child.communicate()
+
+
+def _heard(child: subprocess.Popen[bytes], deadline: float, seconds: float, file: Path) -> bytes | Finding:
+    try:
+        said, complaint = child.communicate(timeout=max(0.0, deadline - time.monotonic()))
     except subprocess.TimeoutExpired:
         return Finding(file.name, f"cannot be read within {seconds} seconds")
-    if done.returncode < 0:
-        cause = signal.Signals(-done.returncode).name
+    if child.returncode < 0:
+        cause = signal.Signals(-child.returncode).name
         return Finding(file.name, f"is damaged so that reading it kills the process ({cause})")
-    if done.returncode:
-        lines = done.stderr.decode("utf-8", "replace").strip().splitlines()
+    if child.returncode:
+        lines = complaint.decode("utf-8", "replace").strip().splitlines()
         return Finding(file.name, f"cannot be read: {lines[-1][:200] if lines else 'no reason given'}")
-    return done.stdout
+    return said
 
 
 def _size(path: Path) -> int:
