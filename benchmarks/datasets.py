@@ -8,6 +8,8 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,7 @@ import numpy as np
 
 from benchmarks.measuring import LIMIT, OURS, STOCK, Row, ratio, take_turns, times
 from imujoco_minari import content, roots
+from imujoco_minari.adapters import to_d3rlpy, to_torchrl
 from imujoco_minari.arrays import STEP_ARRAYS, Arrays, arrays
 from imujoco_minari.combining import combine_datasets
 from imujoco_minari.sampling import episode_batches, transition_batches
@@ -155,7 +158,6 @@ def sampling_rows(ids: list[str], rounds: int) -> list[Row]:
 def _transitions_row(data: Arrays, ids: list[str], rounds: int) -> Row:
     batches = 200
     dataset = minari.load_dataset(ids[0])
-    buffer = _replay_buffer(data)
     rng = np.random.default_rng(0)
 
     def epochs() -> Iterator[Any]:
@@ -183,29 +185,45 @@ def _transitions_row(data: Arrays, ids: list[str], rounds: int) -> Row:
             pool = np.concatenate([episode.observations[:-1] for episode in episodes])
             pool[rng.integers(len(pool), size=256)]
 
-    def replay_buffer() -> None:
-        for _ in range(batches):
-            buffer.sample(256)
+    def sampling(sample: Callable[[], Any], share: int = 1) -> Callable[[], None]:
+        def run() -> None:
+            for _ in range(batches // share):
+                sample()
 
-    seconds = take_turns(
-        {OURS: ours, "SB3 ReplayBuffer": replay_buffer, "minari": minari_sampling, LIMIT: indexing}, rounds
-    )
-    seconds["minari"] = [value * 20 for value in seconds["minari"]]
+        return run
+
+    # The slow ones do a twentieth of the work, which is then counted twenty times.
+    slow = {"minari": minari_sampling}
+    peers = {"SB3's buffer": sampling(partial(_sb3_buffer(data).sample, 256))}
+    missing = []
+    if find_spec("torchrl"):
+        peers["TorchRL"] = sampling(to_torchrl(data, batch_size=256).sample)
+    else:
+        missing.append("TorchRL")
+    if find_spec("d3rlpy"):
+        slow["d3rlpy"] = sampling(partial(to_d3rlpy(data).sample_transition_batch, 256), 20)
+    else:
+        missing.append("d3rlpy")
+    seconds = take_turns({OURS: ours, **peers, **slow, LIMIT: indexing}, rounds)
+    for name in slow:
+        seconds[name] = [value * 20 for value in seconds[name]]
+    best = min({**peers, **slow}, key=lambda name: ratio(seconds[name], seconds[OURS]))
     return Row(
         "batches of 256 transitions",
         times(seconds, 1e6 / batches),
         "us a batch",
-        {
-            "times minari": ratio(seconds["minari"], seconds[OURS]),
-            "times SB3's buffer": ratio(seconds["SB3 ReplayBuffer"], seconds[OURS]),
+        {f"times {name}": ratio(seconds[name], seconds[OURS]) for name in {**peers, **slow}}
+        | {
+            "times the best peer": ratio(seconds[best], seconds[OURS]),
             "times indexing": ratio(seconds[OURS], seconds[LIMIT]),
         },
-        {"times minari": ("least", 10.0)},
-        f"of {len(data):,}; SB3's buffer, filled with the same, gives torch tensors",
+        {"times the best peer": ("least", 10.0)},
+        f"of {len(data):,}; the best peer is {best}; SB3 and TorchRL give torch tensors"
+        + (f"; not installed here: {', '.join(missing)}" if missing else ""),
     )
 
 
-def _replay_buffer(data: Arrays) -> Any:
+def _sb3_buffer(data: Arrays) -> Any:
     import gymnasium as gym
     from stable_baselines3.common.buffers import ReplayBuffer
 

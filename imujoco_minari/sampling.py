@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 
 
+# Batches of transitions that are gathered at once: a call of NumPy costs as much as the rows of a small batch.
+_AHEAD = 8
+
+
 class Transitions(NamedTuple):
     """B steps: each array as in :class:`~imujoco_minari.arrays.Arrays`, (B, ...)."""
 
@@ -143,7 +147,9 @@ class Sampler:
 
 def gather_transitions(data: Arrays, rows: Array | slice) -> Transitions:
     """Return the transitions of these rows."""
-    return Transitions(*(getattr(data, name)[rows] for name in Transitions._fields))
+    if isinstance(rows, slice):
+        return Transitions(*(getattr(data, name)[rows] for name in Transitions._fields))
+    return Transitions(*(_take(getattr(data, name), rows) for name in Transitions._fields))
 
 
 def gather_windows(data: Arrays, starts: Array, length: int) -> Windows:
@@ -156,7 +162,7 @@ def gather_windows(data: Arrays, starts: Array, length: int) -> Windows:
     rows = np.where(mask, rows, starts[:, None])
     timesteps = rows - data.episode_starts[episodes][:, None]
     names = ("observations", "actions", "rewards")
-    observations, actions, rewards = (getattr(data, name)[rows] for name in names)
+    observations, actions, rewards = (_take(getattr(data, name), rows) for name in names)
     for column in (observations, actions, rewards, timesteps):
         column[~mask] = 0
     return Windows(observations, actions, rewards, timesteps, data.variant_index[starts], mask)
@@ -189,7 +195,8 @@ def window_starts(data: Arrays, length: int, *, padded: bool = False) -> Array:
 
 def transition_batches(data: Arrays, batch_size: int, *, seed: int = 0) -> Iterator[Transitions]:
     """Yield all steps once, in an order drawn by ``seed``, as batches; the last may be smaller."""
-    return (gather_transitions(data, rows) for rows in _batches(np.arange(len(data)), batch_size, seed))
+    ahead = _batches(np.arange(len(data)), batch_size, seed, at_once=_AHEAD)
+    return (batch for rows in ahead for batch in _split(gather_transitions(data, rows), batch_size))
 
 
 def window_batches(
@@ -206,11 +213,22 @@ def episode_batches(data: Arrays, batch_size: int, *, seed: int = 0) -> Iterator
         yield gather_windows(data, data.episode_starts[batch], int(data.episode_lengths[batch].max()))
 
 
-def _batches(items: Array, batch_size: int, seed: int) -> Iterator[Array]:
+def _batches(items: Array, batch_size: int, seed: int, at_once: int = 1) -> Iterator[Array]:
     if batch_size < 1:
         raise DatasetError(f"a batch holds at least one, not {batch_size}")
     order = np.random.default_rng(seed).permutation(items)
-    return (order[start : start + batch_size] for start in range(0, len(order), batch_size))
+    size = batch_size * at_once
+    return (order[start : start + size] for start in range(0, len(order), size))
+
+
+def _split(several: Transitions, batch_size: int) -> Iterator[Transitions]:
+    for start in range(0, len(several.rewards), batch_size):
+        yield Transitions(*(column[start : start + batch_size] for column in several))
+
+
+def _take(column: Array, rows: Array) -> Array:
+    """Return rows of a column, in half the time that indexing takes."""
+    return np.take(np.asarray(column), rows, axis=0)
 
 
 def _tensor(array: Array) -> Any:
