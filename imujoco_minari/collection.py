@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import gymnasium as gym
 import numpy as np
 from minari import DataCollector
 from minari.data_collector import EpisodeBuffer
+from numpy.typing import NDArray
 
 from imujoco_minari.policies import LANES, Policy
 from imujoco_minari.recording import EpisodeStorage
@@ -108,21 +110,23 @@ class FolderCollector(DataCollector):  # type: ignore[misc]
 
     def _flush_to_storage(self) -> None:
         if self._buffer is not None and len(self._buffer):
-            _warn_outside(self._storage.observation_space, self._buffer.observations[1:], "Observation")
-            _warn_outside(self._storage.action_space, self._buffer.actions, "Action")
+            # Converted once, for the spaces and for the storage.
+            rows = {key: np.asarray(getattr(self._buffer, key)) for key in ("observations", "actions")}
+            self._buffer = replace(self._buffer, **rows)
+            _warn_outside(self._storage.observation_space, rows["observations"][1:], "Observation")
+            _warn_outside(self._storage.action_space, rows["actions"], "Action")
         super()._flush_to_storage()
 
 
-def _warn_outside(space: gym.Space[Any], rows: list[Any], name: str) -> None:
+def _warn_outside(space: gym.Space[Any], rows: NDArray[Any], name: str) -> None:
     """Warn, as the stock collector does, of every row that its space does not contain."""
-    if isinstance(space, gym.spaces.Box) and space.dtype is not None:
-        stacked = np.asarray(rows)
-        if (
-            stacked.shape[1:] == space.shape
-            and np.can_cast(stacked.dtype, space.dtype)
-            and ((stacked >= space.low) & (stacked <= space.high)).all()
-        ):
-            return
+    if (
+        isinstance(space, gym.spaces.Box)
+        and rows.shape[1:] == space.shape
+        and np.can_cast(rows.dtype, space.dtype)
+        and ((rows >= space.low) & (rows <= space.high)).all()
+    ):
+        return
     for row in rows:
         if not space.contains(row):
             warnings.warn(

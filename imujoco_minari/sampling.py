@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 
 
-# Batches of transitions that are gathered at once: a call of NumPy costs as much as the rows of a small batch.
+# Batches that are gathered at once: a call of NumPy costs as much as the rows of a small batch.
 _AHEAD = 8
 
 
