@@ -41,6 +41,7 @@ TINY: dict[str, Any] = {
     "exploration_steps": 150,
     "evaluate_every": 100,
     "max_steps": 350,
+    "settling_steps": 100,
     "batch_size": 16,
     "ranking_episodes": 1,
     "choosing_episodes": 2,
@@ -54,7 +55,7 @@ def test_a_killed_run_ends_in_the_weights_of_one_that_was_not(tmp_path: Path) ->
     whole = Run(task, tmp_path / "whole")
     record = whole.train()
     broken = Run(task, tmp_path / "broken")
-    # Killed after the third of four intervals: nothing of it is left but what lies on the disk.
+    # Killed after the third of four intervals, before the rate falls: nothing is left but what is on the disk.
     for _ in range(3):
         broken._interval()
     resumed = Run(task, tmp_path / "broken")
@@ -214,6 +215,32 @@ def test_a_variant_without_a_base_agent_says_what_to_train_first(tmp_path: Path,
         PolicyNotFoundError, match="`imujoco train hopper-base` first, or train with --scratch"
     ):
         train(LIGHT_LEG, Plan(tmp_path / "state"))
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_the_last_steps_are_made_at_the_settling_rate(tmp_path: Path) -> None:
+    settings = hyperparameters("hopper", SCRATCH, **TINY | {"max_steps": 450, "settling_rate": 0.0})
+    Run(Task(BASE, settings), tmp_path).train()
+    learning, settled, after = (
+        load_arrays(tmp_path / "ladder" / f"{steps}.safetensors") for steps in (260, 360, 460)
+    )
+    # At a rate of nothing, nothing is learnt.
+    assert all(np.array_equal(settled[name], after[name]) for name in settled)
+    assert not all(np.array_equal(learning[name], settled[name]) for name in settled)
+
+
+@pytest.mark.parametrize(("share", "rate"), [(0.5, 1e-3), (0.95, 3e-4)])
+def test_a_start_that_is_nearly_there_takes_smaller_steps(
+    share: float, rate: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    base = expert_record(BASE)["evaluation"]
+    asked = 0.98 * (base["return_mean"] - base["return_std"])
+    start = replace(sweep.best_start(LIGHT_LEG), score=share * asked)
+    monkeypatch.setattr(sweep, "best_start", lambda variant, policies: start)
+    task = sweep.task(LIGHT_LEG, Plan(tmp_path))
+    assert task.target == pytest.approx(asked)
+    assert task.settings.rate(0) == task.settings.learning_rate == rate
+    assert task.settings.rate(task.settings.max_steps) == task.settings.settling_rate == 1e-4
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
