@@ -11,6 +11,7 @@ from types import ModuleType
 
 import pytest
 
+from imujoco_minari.policies.experts import shipped_folder
 from imujoco_minari.variants import catalogue
 
 SCRIPT = Path(__file__).parents[1] / "scripts" / "generate-docs"
@@ -28,11 +29,17 @@ def generator() -> ModuleType:
     return module
 
 
-@pytest.mark.parametrize(("name", "page"), [("variants.md", "variants_page"), ("cli.md", "cli_page")])
-def test_the_page_is_current(generator: ModuleType, name: str, page: str) -> None:
-    assert (generator.DOCS / name).read_text("utf-8") == getattr(generator, page)(), (
-        "run scripts/generate-docs"
-    )
+def test_every_page_is_current(generator: ModuleType) -> None:
+    pages = {name: write() for name, write in generator.PAGES.items()}
+    stale = [name for name, page in pages.items() if (generator.DOCS / name).read_text("utf-8") != page]
+    assert len(pages) == 3
+    assert stale == [], "run scripts/generate-docs"
+
+
+def test_every_shipped_expert_has_its_row(generator: ModuleType) -> None:
+    rows = [line for line in generator.experts_page().splitlines() if line.startswith("| `")]
+    shipped = {path.stem for path in shipped_folder().glob("*-*.json") if ".agent." not in path.name}
+    assert {row.split("`")[1] for row in rows} == shipped
 
 
 def test_every_variant_has_its_row(generator: ModuleType) -> None:
@@ -49,4 +56,7 @@ def test_a_stale_page_is_named(tmp_path: Path) -> None:
         [sys.executable, str(folder / SCRIPT.name), "--check"], capture_output=True, text=True, check=False
     )
     assert done.returncode == 1
-    assert "not current: docs/variants.md, docs/cli.md; run scripts/generate-docs" in done.stderr
+    assert (
+        "not current: docs/variants.md, docs/cli.md, docs/experts.md; run scripts/generate-docs"
+        in done.stderr
+    )

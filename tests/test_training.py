@@ -55,7 +55,7 @@ def test_a_killed_run_ends_in_the_weights_of_one_that_was_not(tmp_path: Path) ->
     whole = Run(task, tmp_path / "whole")
     record = whole.train()
     broken = Run(task, tmp_path / "broken")
-    # Killed after the third of four intervals, before the rate falls: nothing is left but what is on the disk.
+    # Killed after the third of four intervals, before the rate falls: what is left is on the disk.
     for _ in range(3):
         broken._interval()
     resumed = Run(task, tmp_path / "broken")

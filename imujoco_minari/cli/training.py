@@ -21,7 +21,8 @@ from imujoco_minari.cli.app import (
 )
 from imujoco_minari.cli.datasets import Backend, Jobs, report, select
 from imujoco_minari.policies import expert_record, expert_variants, policies_folder
-from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS, Variant, bases, catalogue
+from imujoco_minari.policies.standing import BAR, share_of_base, standings
+from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS, Variant
 
 if TYPE_CHECKING:
     from imujoco_minari.training.hyperparameters import Hyperparameters
@@ -203,42 +204,19 @@ def export(
 
 def _summarise(robots: list[str], categories: list[str]) -> None:
     """Print, for each robot and category, how the experts compare with their base's, and what they took."""
-    from statistics import median
-
-    columns = ("robot", "category", "policies", "of", "median", "min", "below 0.95", "core-hours")
+    columns = ("robot", "category", "policies", "of", "median", "min", f"below {BAR}", "core-hours")
     rows = []
-    for robot in robots:
-        for category in categories:
-            listed = (
-                [v for v in bases() if v.robot == robot] if category == BASE else catalogue(robot, category)
-            )
-            records = [dict(record) for variant in listed if (record := expert_record(variant))]
-            shares = [share for record in records if (share := _share(record)) is not None]
-            numbers = ["-", "-", "-"]
-            if shares:
-                below = sum(share < 0.95 for share in shares)
-                numbers = [f"{median(shares):.2f}", f"{min(shares):.2f}", str(below)]
-            hours = sum(map(_seconds, records)) / 3600
-            rows.append([robot, category, str(len(records)), str(len(listed)), *numbers, f"{hours:.1f}"])
+    for line in standings(robots, categories):
+        shares = ["-" if share is None else f"{share:.2f}" for share in (line.median, line.minimum)]
+        numbers = [str(line.policies), str(line.of), *shares, str(line.below), f"{line.hours:.1f}"]
+        rows.append([line.robot, line.category, *numbers])
     print_table(columns, rows, numeric=columns[2:])
     out.print("\nmedian and min: return as a share of the base expert's")
 
 
-def _seconds(record: dict[str, Any]) -> float:
-    """Return how long a record's policy was trained, and what it was improved from before."""
-    before = record.get("before")
-    return float(record["wall_seconds"]) + (_seconds(before) if before else 0.0)
-
-
-def _share(record: dict[str, Any]) -> float | None:
-    """Return a record's return as a share of its base expert's."""
-    base = expert_record(Variant.parse(record["variant"]).base).get("evaluation", {}).get("return_mean")
-    return record["evaluation"]["return_mean"] / base if base else None
-
-
 def _row(variant: Variant, record: dict[str, Any]) -> list[str]:
     evaluation = record["evaluation"]
-    share = _share(record)
+    share = share_of_base(record)
     numbers = [f"{evaluation[key]:.0f}" for key in ("return_mean", "return_std", "return_min")]
     return [
         str(variant),

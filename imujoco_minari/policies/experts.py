@@ -107,11 +107,14 @@ def policies_folder() -> Path:
     return (Path(home) if home else Path.home() / ".imujoco") / "policies"
 
 
+def shipped_folder() -> Path:
+    """Return the folder of the policies that the package ships."""
+    return Path(str(resources.files("imujoco_minari") / "weights"))
+
+
 def _places(folder: Path | None) -> tuple[Path, Path]:
     """Return where policies are looked for, first choice first."""
-    return (policies_folder() if folder is None else folder), Path(
-        str(resources.files("imujoco_minari") / "weights")
-    )
+    return (policies_folder() if folder is None else folder), shipped_folder()
 
 
 def find_policy_file(name: str, folder: Path | None = None) -> Path | None:
