@@ -7,11 +7,13 @@ attribute stays, and no array is decoded.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import os
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
+from itertools import chain
 from os.path import relpath
 from pathlib import Path
 from typing import Any
@@ -91,16 +93,20 @@ def combine_datasets(
     with roots.failures_named():
         sources = [_source(dataset) for dataset in datasets_to_combine]
         _check(sources)
-        if not link:
-            with ThreadPoolExecutor() as threads:
-                list(threads.map(_screen, sources))
-    with roots.staging(new_dataset_id) as staging_folder:
+    with roots.staging(new_dataset_id) as staging_folder, _beside() as threads:
         staged = staging_folder / "dataset"
         staged.mkdir()
         with _damage_named():
-            attributes = _write(sources, staged / "data", folder / "data" if link else None)
+            attributes = (
+                _write(sources, staged / "data", folder / "data")
+                if link
+                else _write(_screened(sources, threads), staged / "data")
+            )
+        # The bytes go to the disk while their digest is taken.
+        on_disk = threads.submit(_flush, content.main_file(staged / "data"))
         _describe(sources, staged / "data", new_dataset_id, attributes)
         content.seal_files(staged / "data")
+        on_disk.result()
         roots.commit(staged, new_dataset_id, replace=force)
     with roots.failures_named():
         return MinariDataset(folder / "data")
@@ -192,6 +198,22 @@ def _check(sources: Sequence[_Source]) -> None:
                 )
 
 
+@contextmanager
+def _beside() -> Iterator[ThreadPoolExecutor]:
+    """Yield threads for what the operating system does, digests and disks, while this one copies."""
+    threads = ThreadPoolExecutor(max(1, (os.cpu_count() or 1) - 1))
+    try:
+        yield threads
+    finally:
+        threads.shutdown(cancel_futures=True)
+
+
+def _screened(sources: Sequence[_Source], threads: ThreadPoolExecutor) -> Iterator[_Source]:
+    """Yield the sources, each when its file has proved harmless."""
+    for source, _ in zip(sources, threads.map(_screen, sources), strict=True):
+        yield source
+
+
 def _screen(source: _Source) -> None:
     """Raise a DatasetError for a file on which HDF5 may hang or crash; one that is as published is none."""
     stated = source.storage.metadata.get(content.FILE_DIGEST)
@@ -199,17 +221,25 @@ def _screen(source: _Source) -> None:
         raise DatasetError(f"{source.dataset_id} cannot be combined: {finding}")
 
 
-def _write(sources: Sequence[_Source], data: Path, linked_from: Path | None) -> list[dict[str, Any]]:
+def _flush(path: Path) -> None:
+    """Wait until what was written to a file is on the disk."""
+    with path.open("rb") as file:
+        os.fsync(file.fileno())
+
+
+def _write(sources: Iterable[_Source], data: Path, linked_from: Path | None = None) -> list[dict[str, Any]]:
     """Write the episodes into a new storage and return the identifying attributes of each."""
+    sources = iter(sources)
+    first = next(sources)
     storage = MinariStorage.new(
         data,
-        observation_space=sources[0].storage.observation_space,
-        action_space=sources[0].storage.action_space,
+        observation_space=first.storage.observation_space,
+        action_space=first.storage.action_space,
     )
     attributes: list[dict[str, Any]] = []
     steps, digests = 0, list[str]()
     with writing(content.main_file(data), new=True) as target:
-        for source in sources:
+        for source in chain([first], sources):
             with h5py.File(source.file, "r") as file:
                 source.check(file)
                 attributes += copying.shared_attributes(file, source.episodes, _COMMON)

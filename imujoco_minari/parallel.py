@@ -15,7 +15,9 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import cache, partial
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
@@ -114,7 +116,28 @@ def _round(
     # The configuration knows Dask's back end, which Parallel does not until it has been named here.
     with parallel_config(backend=backend or "loky"):
         pool = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
-    return iter(pool(delayed(call)(number, argument) for number, argument in work.items()))
+    # The call hands out the first jobs, and so starts the processes; what keeps their books comes before,
+    # since Python, having started that, lets interrupts in.
+    resource_tracker.ensure_running()
+    with _uninterrupted():
+        return iter(pool(delayed(call)(number, argument) for number, argument in work.items()))
+
+
+@contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Hold a Ctrl-C back, and for good from the processes that are started meanwhile.
+
+    It is the parent that ends them. A terminal's Ctrl-C reaches all of a group, and one that is still
+    importing would say so with a traceback.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _run_on_ray(

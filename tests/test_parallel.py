@@ -56,6 +56,11 @@ def die(number):
     return number
 
 
+def deaf(number):
+    """Say whether this process holds interrupts back, as it did from its first instruction on."""
+    return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+
 # Two workers that work for much longer than a test.
 WORK_ON = """
 import os, pathlib, sys, time
@@ -80,6 +85,11 @@ def wait_for(condition):
 
 def root_seen(_):
     return str(roots.datasets_root())
+
+
+def test_an_interrupt_is_for_the_parent_alone():
+    assert [result for _, result in run_jobs(deaf, range(4), jobs=3)] == [True] * 4
+    assert not deaf(0)
 
 
 def test_one_job_works_here_and_in_order():
