@@ -21,7 +21,6 @@ from imujoco_minari.importing.original import (
     originals_spec,
     variant_of,
 )
-from imujoco_minari.mjcf import canonical_mjcf, mjcf_sha256
 from imujoco_minari.policies import SIZES
 from imujoco_minari.registration import collection_spec, environment_spec
 from imujoco_minari.variants import Variant
@@ -181,6 +180,9 @@ def _environment(
 
 
 def _root(root: Mapping[str, Any], metadata: Mapping[str, Any]) -> Iterator[Finding]:
+    # MuJoCo takes a tenth of a second to import, and the child processes that check parts never come here.
+    from imujoco_minari.mjcf import canonical_mjcf, mjcf_sha256
+
     try:
         variant = variant_of(root)
         text, digest = str(root["mjcf"]), plain(root["mjcf_sha256"])
