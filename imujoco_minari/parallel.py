@@ -16,7 +16,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import cache, partial
+from functools import partial
 from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
@@ -78,8 +78,7 @@ def run_jobs(
     if backend == "ray":
         yield from _run_on_ray(function, places, arguments)
         return
-    owner = os.getpid() if backend != "dask" else None
-    call = partial(_call, function, places, owner=owner)
+    call = partial(_call, function, places)
     waiting, alone, losses = dict(enumerate(arguments)), False, 0
     while waiting:
         before, lost = len(waiting), None
@@ -113,8 +112,10 @@ def _round(
 ) -> Iterator[_Called]:
     from joblib import Parallel, delayed, parallel_config
 
+    # Processes of this machine learn at their start whom they work for: a job may never reach them.
+    watching = {} if backend == "dask" else {"initializer": _end_with, "initargs": (os.getpid(),)}
     # The configuration knows Dask's back end, which Parallel does not until it has been named here.
-    with parallel_config(backend=backend or "loky"):
+    with parallel_config(backend=backend or "loky", **watching):
         pool = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
     # The call hands out the first jobs, and so starts the processes; what keeps their books comes before,
     # since Python, having started that, lets interrupts in.
@@ -175,11 +176,8 @@ def _call(
     places: dict[str, str | None],
     number: int,
     argument: Any,
-    owner: int | None = None,
 ) -> _Called:
-    """Call ``function`` in a worker, which ends with the process ``owner`` whose child it is."""
-    if owner is not None:
-        _end_with(owner)
+    """Call ``function`` in a worker."""
     for name, place in places.items():
         # A worker lives on from an earlier call, or on another machine, with an environment of its own.
         if place is None:
@@ -192,7 +190,6 @@ def _call(
         return number, None, error
 
 
-@cache
 def _end_with(owner: int) -> None:
     """Kill this process, from now on, as soon as its parent ``owner`` is gone.
 
@@ -205,9 +202,7 @@ def _end_with(owner: int) -> None:
             time.sleep(_LOOK_EVERY)
         os.kill(os.getpid(), signal.SIGKILL)
 
-    # Where a server in between starts the workers, it ends them.
-    if os.getppid() == owner:
-        threading.Thread(target=watch, name="ends with its owner", daemon=True).start()
+    threading.Thread(target=watch, name="ends with its owner", daemon=True).start()
 
 
 def _given_up(error: Exception | None) -> JobError:

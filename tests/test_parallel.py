@@ -12,7 +12,7 @@ from pathlib import Path
 import h5py
 import minari
 import pytest
-from processes import alive
+from processes import alive, running
 
 from imujoco_minari import content, roots
 from imujoco_minari.errors import DatasetError, DependencyError, JobError
@@ -61,7 +61,7 @@ def deaf(number):
     return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
 
 
-# Two workers that work for much longer than a test.
+# Two workers that work for much longer than a test, and one that gets nothing to do.
 WORK_ON = """
 import os, pathlib, sys, time
 from imujoco_minari.parallel import run_jobs
@@ -71,7 +71,7 @@ def work(folder):
     time.sleep(600)
 
 if __name__ == "__main__":
-    list(run_jobs(work, sys.argv[1:] * 2, jobs=2))
+    list(run_jobs(work, sys.argv[1:] * 2, jobs=3))
 """
 
 
@@ -134,13 +134,14 @@ def test_workers_that_live_on_see_the_present_root(monkeypatch, tmp_path):
 def test_workers_end_with_the_process_that_is_killed(tmp_path):
     script = tmp_path / "owner.py"
     script.write_text(WORK_ON)
-    process = subprocess.Popen([sys.executable, str(script), str(tmp_path)])
+    process = subprocess.Popen([sys.executable, str(script), str(tmp_path)], start_new_session=True)
     wait_for(lambda: len(list(tmp_path.glob("worker-*"))) == 2)
     workers = [int(path.name.removeprefix("worker-")) for path in tmp_path.glob("worker-*")]
     assert all(map(alive, workers))
     process.kill()
     process.wait()
     wait_for(lambda: not any(map(alive, workers)))
+    wait_for(lambda: not running(process.pid))
 
 
 def test_an_unknown_back_end_is_named_with_the_valid_ones():
