@@ -49,6 +49,7 @@ def test_publish(jobs: str, whole_group: bool, root: Path) -> None:
     roots.tidy()
     assert not (root / roots.STAGING).exists()
     assert "Traceback" not in errors
+    assert "Warning" not in errors
 
 
 @pytest.mark.parametrize("called", ["write", "truncate"])

@@ -102,6 +102,7 @@ def test_a_variant_is_trained_from_its_base_and_published(tmp_path: Path, unship
     }
     assert improved.error == ""
     assert improved.created == (score["now"] > score["first"])
+    assert improved.created == (not improved.tried)
     assert expert_actor(BASE).sha256 == expert_record(BASE)["weights_sha256"]
     if improved.created:
         assert improved.record["before"]["weights_sha256"] == outcomes[0].record["weights_sha256"]

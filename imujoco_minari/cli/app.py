@@ -6,6 +6,8 @@ import json
 import os
 import signal
 import sys
+import threading
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
@@ -47,6 +49,10 @@ def main() -> None:
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         interrupts.append(number)
+        # What is taken down in the midst of its work has nothing to say that helps: joblib warns of jobs
+        # that it cancels, and now and then the thread that hands them out stumbles.
+        warnings.simplefilter("ignore")
+        threading.excepthook = _say_nothing
         signal.default_int_handler(number, frame)
 
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
@@ -65,6 +71,10 @@ def main() -> None:
         sys.stderr.flush()
         os._exit(INTERRUPTED)
     sys.exit(code)
+
+
+def _say_nothing(raised: threading.ExceptHookArgs) -> None:
+    """Take an exception that ended a thread, after an interrupt."""
 
 
 def run(arguments: Sequence[str]) -> int:

@@ -149,14 +149,21 @@ def _train_one(variant: Variant, plan: Plan, quiet: bool) -> Trained:
 def _report(outcome: Trained, quiet: bool) -> None:
     if quiet or outcome.error:
         return
-    if not outcome.created:
+    if outcome.created:
+        out.print(f"trained {outcome.variant}: {_made(outcome.record)}")
+    elif outcome.tried:
+        out.print(f"kept {outcome.variant}: {_made(outcome.record)}; not as good: {_made(outcome.tried)}")
+    else:
         out.print(f"left alone {outcome.variant}: its expert is there already")
-        return
-    evaluation = outcome.record["evaluation"]
-    out.print(
-        f"trained {outcome.variant}: return {evaluation['return_mean']:.1f} ± {evaluation['return_std']:.1f} "
-        f"over {evaluation['episodes']} episodes, after {outcome.record['steps']:,} steps from "
-        f"{outcome.record['start']}, {outcome.record['wall_seconds'] / 60:.1f} min"
+
+
+def _made(record: dict[str, Any]) -> str:
+    """Return what a record's policy scores, and what made it."""
+    evaluation = record["evaluation"]
+    return (
+        f"return {evaluation['return_mean']:.1f} ± {evaluation['return_std']:.1f} "
+        f"over {evaluation['episodes']} episodes, after {record['steps']:,} steps from "
+        f"{record['start']}, {record['wall_seconds'] / 60:.1f} min"
     )
 
 

@@ -68,11 +68,20 @@ class Plan:
 
 @dataclass(frozen=True)
 class Trained:
-    """What became of one variant or generalist: its record, whether it was made now, or why it failed."""
+    """What became of one variant or generalist.
+
+    Attributes:
+        variant: the variant, or the generalist's name.
+        record: of the policy that is there now.
+        created: whether that was made now.
+        tried: record of a run that was to improve it and did not.
+        error: why it failed.
+    """
 
     variant: Variant | str
     record: dict[str, Any] = field(default_factory=dict)
     created: bool = False
+    tried: dict[str, Any] = field(default_factory=dict)
     error: str = ""
 
 
@@ -102,7 +111,9 @@ def train(variant: Variant, plan: Plan, on_interval: OnInterval | None = None) -
             record = install(folder, record | before, plan.policies)
         # The replay buffer alone is tens of megabytes.
         shutil.rmtree(folder)
-    return Trained(variant, record if better else dict(done), created=better)
+    if better:
+        return Trained(variant, record, created=True)
+    return Trained(variant, dict(done), tried=record)
 
 
 def _run(work: Task, folder: Path, plan: Plan, on_interval: OnInterval | None = None) -> dict[str, Any]:
