@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import multiprocessing.util
 import os
 import signal
 import sys
@@ -66,7 +67,9 @@ def main() -> None:
         code = INTERRUPTED
     if code == INTERRUPTED or (code and interrupts):
         # All is cleaned up by now. The interpreter's own farewell would take HDF5 files that were
-        # interrupted in their closing apart in any order, and complain.
+        # interrupted in their closing apart in any order, and complain. Only the semaphores of worker
+        # processes are still given back, or who keeps their books reports them as leaked.
+        multiprocessing.util._exit_function()  # type: ignore[attr-defined]
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(INTERRUPTED)
