@@ -69,7 +69,7 @@ def main() -> None:
         # All is cleaned up by now. The interpreter's own farewell would take HDF5 files that were
         # interrupted in their closing apart in any order, and complain. Only the semaphores of worker
         # processes are still given back, or who keeps their books reports them as leaked.
-        multiprocessing.util._exit_function()  # type: ignore[attr-defined]
+        multiprocessing.util._run_finalizers(0)  # type: ignore[attr-defined]
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(INTERRUPTED)
