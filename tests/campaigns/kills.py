@@ -157,7 +157,7 @@ class Trials:
                 os.killpg(process.pid, number)
             else:
                 process.send_signal(number)
-            _, errors = process.communicate()
+            errors = _last_words(process)
         # As docs/promises.md has it, an interrupt that comes while Python imports the package shows it.
         beginning = any(mark in errors for mark in BEGINNING)
         end = "stopped as it began" if beginning else "stopped" if stopped else "was done"
@@ -216,6 +216,17 @@ class Trials:
     def _save(self) -> None:
         shutil.rmtree(self._pristine)
         shutil.copytree(self.place, self._pristine, symlinks=True, ignore=shutil.ignore_patterns("compiled"))
+
+
+def _last_words(process: subprocess.Popen[str]) -> str:
+    """Return what a stopped command said, when it and all that it started have closed their ears."""
+    try:
+        return process.communicate(timeout=60)[1]
+    except subprocess.TimeoutExpired:
+        there = running(process.pid)
+        os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+        raise AssertionError(f"still there a minute later: {there}") from None
 
 
 def _wait_for_start(process: subprocess.Popen[str]) -> None:
