@@ -47,8 +47,14 @@ sys.argv = ["imujoco", "train", "hopper-massinc_37_torsogeom", "--scratch", "--s
 main()
 """
 CLI = ("-m", "imujoco_minari")
-# In the traceback of an interrupt that came before the command line had begun.
-BEGINNING = ("init_import_site", "imujoco_minari/__init__.py", "from imujoco_minari.cli import main")
+# In the traceback of an interrupt that came before the command line had begun, or to the child process
+# that glfw, which MuJoCo imports, asks for its version.
+BEGINNING = (
+    "init_import_site",
+    "imujoco_minari/__init__.py",
+    "from imujoco_minari.cli import main",
+    'File "<string>", line 3, in <module>',
+)
 EXPORT = (*CLI, "export", A, B, "-f")
 
 
