@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import weakref
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -221,7 +222,11 @@ def test_a_variant_without_a_base_agent_says_what_to_train_first(tmp_path: Path,
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_the_last_steps_are_made_at_the_settling_rate(tmp_path: Path) -> None:
     settings = hyperparameters("hopper", SCRATCH, **TINY | {"max_steps": 450, "settling_rate": 0.0})
-    Run(Task(BASE, settings), tmp_path).train()
+    run = Run(Task(BASE, settings), tmp_path)
+    run.train()
+    agent = weakref.ref(run._agent)
+    run.close()
+    assert agent() is None
     learning, settled, after = (
         load_arrays(tmp_path / "ladder" / f"{steps}.safetensors") for steps in (260, 360, 460)
     )

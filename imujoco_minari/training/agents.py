@@ -6,6 +6,7 @@ be read without SBX. The actor comes out under Stable-Baselines3's names.
 
 from __future__ import annotations
 
+import gc
 import os
 from pathlib import Path
 from typing import Any
@@ -83,6 +84,14 @@ def _use(device: str) -> None:
             f"JAX has no device {device!r} here; valid: {', '.join(there)} "
             '(for an NVIDIA GPU, `pip install "jax[cuda12]"`)'
         ) from None
+
+
+def forget_compiled() -> None:
+    """Give back what was compiled for agents that are gone, 75 MB each: a sweep has hundreds of them."""
+    import jax
+
+    gc.collect()
+    jax.clear_caches()
 
 
 def agent_arrays(agent: Any) -> dict[str, Array]:

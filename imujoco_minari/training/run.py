@@ -26,6 +26,7 @@ from imujoco_minari.training.agents import (
     actor_arrays,
     actor_of,
     agent_arrays,
+    forget_compiled,
     load_arrays,
     make_agent,
     restore_agent,
@@ -170,9 +171,11 @@ class Run:
         )
 
     def close(self) -> None:
-        """Close the environments."""
+        """Close the environments, and let the agent go."""
         self._env.close()
         self._judge.close()
+        self._agent = None
+        forget_compiled()
 
     def _new_agent(self) -> Any:
         """Return a new agent, with the learning rate that the run's progress has."""
