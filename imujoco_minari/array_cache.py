@@ -12,19 +12,19 @@ import os
 import shutil
 import tempfile
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
-from numpy.typing import DTypeLike
+from numpy.typing import DTypeLike, NDArray
 
 from imujoco_minari import roots
-from imujoco_minari.arrays import STEP_ARRAYS, Arrays, Statistics
 from imujoco_minari.content import main_file
 from imujoco_minari.errors import StorageError
-from imujoco_minari.selection import Origin, Source
+from imujoco_minari.selection import Source
+
+Array = NDArray[Any]
 
 # Part of every key: a change of what is stored makes the entries of before unreachable.
 _FORMAT = 1
@@ -50,13 +50,9 @@ def key(
     portion: tuple[float, float],
     seed: int,
     dtype: DTypeLike | None,
-    normalize: bool | Statistics,
+    normalized: Any,
 ) -> str:
-    """Return the name of the entry that holds these arrays."""
-    if isinstance(normalize, Statistics):
-        scaled: Any = [normalize.mean.tolist(), normalize.std.tolist()]
-    else:
-        scaled = normalize
+    """Return the name of the entry that holds these arrays; ``normalized`` says by what, as JSON."""
     parts = {
         "format": _FORMAT,
         # The id too: variants that do not differ in effect have the same arrays and another table.
@@ -65,7 +61,7 @@ def key(
         "portion": [float(bound) for bound in portion],
         "seed": seed if portion != (0, 1) else None,
         "dtype": dtype and np.dtype(dtype).str,
-        "normalize": scaled,
+        "normalize": normalized,
     }
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
@@ -89,37 +85,34 @@ def _digest(file: Path) -> list[Any]:
     return own + [_digest(source) for source in linked if source.is_file()]
 
 
-def load(name: str) -> Arrays | None:
-    """Return the entry ``name``, mapped (changes stay in memory), or None when there is none."""
+def load(name: str, arrays: Sequence[str]) -> tuple[dict[str, Array], Any] | None:
+    """Return arrays of the entry ``name``, mapped (changes stay in memory), and what describes them.
+
+    None when there is no such entry.
+    """
     folder = cache_folder() / name
     try:
-        stored = json.loads((folder / _TABLE).read_text("utf-8"))
-        mapped = {array: np.load(folder / f"{array}.npy", mmap_mode="c") for array in STEP_ARRAYS}
-        starts = np.load(folder / "episode_starts.npy")
+        described = json.loads((folder / _TABLE).read_text("utf-8"))
+        return {array: np.load(folder / f"{array}.npy", mmap_mode="c") for array in arrays}, described
     except (OSError, ValueError, EOFError):
         return None
-    statistics = stored["statistics"] and Statistics(*map(np.array, stored["statistics"]))
-    table = tuple(Origin(**origin) for origin in stored["table"])
-    return Arrays(**mapped, episode_starts=starts, table=table, statistics=statistics)
 
 
-def store(name: str, arrays: Arrays) -> Arrays:
-    """Store arrays as the entry ``name`` and return them mapped.
+def store(name: str, arrays: Mapping[str, Array], described: Any) -> None:
+    """Store arrays, and JSON that describes them, as the entry ``name``.
 
     Raises:
         StorageError: when the cache folder cannot be written.
     """
     root = cache_folder()
-    statistics = arrays.statistics and [arrays.statistics.mean.tolist(), arrays.statistics.std.tolist()]
-    described = {"table": [asdict(origin) for origin in arrays.table], "statistics": statistics}
     staged = None
     try:
         root.mkdir(parents=True, exist_ok=True)
         staged = Path(tempfile.mkdtemp(prefix=".new-", dir=root))
-        for array in (*STEP_ARRAYS, "episode_starts"):
-            np.save(staged / f"{array}.npy", getattr(arrays, array))
+        for array, values in arrays.items():
+            np.save(staged / f"{array}.npy", values)
         (staged / _TABLE).write_text(json.dumps(described), "utf-8")
-        if load(name) is None:
+        if load(name, list(arrays)) is None:
             # What is left of an entry that someone deleted by half would stand in the way.
             shutil.rmtree(root / name, ignore_errors=True)
             staged.rename(root / name)
@@ -129,4 +122,3 @@ def store(name: str, arrays: Arrays) -> Arrays:
     finally:
         if staged is not None:
             shutil.rmtree(staged, ignore_errors=True)
-    return load(name) or arrays

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from imujoco_minari import selection
+from imujoco_minari import array_cache, selection
 from imujoco_minari.errors import DatasetError
 from imujoco_minari.reading import EpisodeFile
 from imujoco_minari.selection import Origin
@@ -34,6 +34,7 @@ STEP_ARRAYS = (
     "truncations",
     "variant_index",
 )
+_CACHED = (*STEP_ARRAYS, "episode_starts")
 # Rows that are worked on at once, where a temporary copy is needed.
 _BLOCK = 4096
 
@@ -58,6 +59,10 @@ class Statistics:
     def normalize(self, observations: Array) -> Array:
         """Return ``(observations - mean) / std``."""
         return ((observations - self.mean) / self.std).astype(observations.dtype, copy=False)
+
+    def to_json(self) -> list[list[float]]:
+        """Return mean and standard deviation as JSON holds them."""
+        return [self.mean.tolist(), self.std.tolist()]
 
     def denormalize(self, observations: Array) -> Array:
         """Return ``observations * std + mean``."""
@@ -207,12 +212,28 @@ def arrays(
     criteria = dict(where or {})
     if not cache:
         return _load(chosen, criteria, portion, seed, dtype, normalize)
-    from imujoco_minari import array_cache
+    normalized = normalize.to_json() if isinstance(normalize, Statistics) else normalize
+    key = array_cache.key(chosen, criteria, portion, seed, dtype, normalized)
+    if found := _cached(key):
+        return found
+    loaded = _load(chosen, criteria, portion, seed, dtype, normalize)
+    described = {
+        "table": [asdict(origin) for origin in loaded.table],
+        "statistics": loaded.statistics and loaded.statistics.to_json(),
+    }
+    array_cache.store(key, {name: getattr(loaded, name) for name in _CACHED}, described)
+    return _cached(key) or loaded
 
-    key = array_cache.key(chosen, criteria, portion, seed, dtype, normalize)
-    return array_cache.load(key) or array_cache.store(
-        key, _load(chosen, criteria, portion, seed, dtype, normalize)
-    )
+
+def _cached(key: str) -> Arrays | None:
+    """Return an entry of the cache, or None when there is none."""
+    entry = array_cache.load(key, _CACHED)
+    if entry is None:
+        return None
+    mapped, described = entry
+    statistics = described["statistics"] and Statistics(*map(np.array, described["statistics"]))
+    table = tuple(Origin(**origin) for origin in described["table"])
+    return Arrays(**mapped, table=table, statistics=statistics)
 
 
 def _load(

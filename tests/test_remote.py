@@ -24,7 +24,7 @@ from imujoco_minari.errors import (
     RemoteError,
 )
 from imujoco_minari.publishing import publish
-from imujoco_minari.remotes import card, pulling, pushing, stores
+from imujoco_minari.remotes import card, connecting, pulling, pushing, stores
 from imujoco_minari.verification import inspect, screening
 
 HOPPER = "imujoco/hopper-massdec_25_leggeom-random-v0"
@@ -298,7 +298,7 @@ def test_a_batch_goes_on_past_a_failure_and_names_it(
 @pytest.mark.parametrize("address", ["bucket", "s3://bucket", "hf://", "gcp://a/b", "hf://user\n"])
 def test_a_malformed_address_is_told(address: str) -> None:
     with pytest.raises(RemoteError, match=r"malformed remote .*valid: hf://<user> or gcp://<bucket>"):
-        stores.connect(address)
+        connecting.connect(address)
 
 
 @pytest.mark.parametrize(
@@ -311,7 +311,7 @@ def test_a_missing_package_is_told_with_its_remedy(
         monkeypatch.delitem(sys.modules, f"imujoco_minari.remotes.{name}", raising=False)
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(DependencyError, match=r'pip install "imujoco-minari\[remote\]"'):
-        stores.connect(address)
+        connecting.connect(address)
 
 
 def test_without_a_remote_the_command_says_how_to_name_one(capsys: pytest.CaptureFixture[str]) -> None:

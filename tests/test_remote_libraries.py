@@ -21,7 +21,7 @@ from huggingface_hub import DatasetCard
 from imujoco_minari import remotes, roots
 from imujoco_minari.errors import RemoteError
 from imujoco_minari.publishing import publish
-from imujoco_minari.remotes import stores
+from imujoco_minari.remotes import connecting, stores
 from imujoco_minari.verification import screening
 
 # huggingface_hub 2.4 uses httpx in a way that httpx would have changed.
@@ -85,7 +85,7 @@ def test_each_dataset_is_one_commit_and_the_registry_keeps_the_others(hub: Hub) 
 
 def test_a_push_that_is_cut_off_shows_nothing_and_uploads_no_file_twice(hub: Hub) -> None:
     publish("hopper-base", tier="random", episodes=1)
-    remotes.stores.connect(REMOTE, writing=True).upload_namespace("imujoco")
+    connecting.connect(REMOTE, writing=True).upload_namespace("imujoco")
     hub.fail_once_on = "/commit/"
     with pytest.raises(RemoteError, match="the token does not allow this"):
         remotes.push(BASE, REMOTE)
@@ -97,7 +97,7 @@ def test_a_push_that_is_cut_off_shows_nothing_and_uploads_no_file_twice(hub: Hub
 
 def test_another_push_in_between_loses_no_registration(hub: Hub, monkeypatch: pytest.MonkeyPatch) -> None:
     publish("hopper-base", tier="random", episodes=1)
-    store = stores.connect(REMOTE, writing=True)
+    store = connecting.connect(REMOTE, writing=True)
     store.upload_namespace("imujoco")
     commit, raced = type(store)._commit, []
 
@@ -162,12 +162,12 @@ def test_a_bucket_asks_for_a_key_file(
     for name in ("STORAGE_EMULATOR_HOST", "GOOGLE_APPLICATION_CREDENTIALS"):
         monkeypatch.delenv(name, raising=False)
     with pytest.raises(RemoteError, match=f"gcp://bucket: .*{message}"):
-        stores.connect("gcp://bucket", token=token, writing=True)
+        connecting.connect("gcp://bucket", token=token, writing=True)
 
 
 def test_reading_needs_neither_token_nor_key(hub: Hub, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("HF_TOKEN", "STORAGE_EMULATOR_HOST", "GOOGLE_APPLICATION_CREDENTIALS"):
         monkeypatch.delenv(name, raising=False)
-    assert stores.connect(REMOTE).read("imujoco/nothing") is None
-    assert type(stores.connect("gcp://bucket")).__name__ == "BucketStore"
+    assert connecting.connect(REMOTE).read("imujoco/nothing") is None
+    assert type(connecting.connect("gcp://bucket")).__name__ == "BucketStore"
     assert "imujoco_minari.remotes.gcp" in sys.modules

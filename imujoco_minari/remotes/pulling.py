@@ -18,7 +18,8 @@ import numpy as np
 
 from imujoco_minari import roots
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError
-from imujoco_minari.remotes.stores import Store, connect, explained, metadata, sources_of
+from imujoco_minari.remotes.connecting import connect
+from imujoco_minari.remotes.stores import Store, explained, metadata, sources_of
 from imujoco_minari.verification import Finding, inspect, screening
 from imujoco_minari.verification.identity import read_metadata
 

@@ -13,11 +13,11 @@ from typing import Any
 from imujoco_minari import roots
 from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError, RemoteError
 from imujoco_minari.remotes.card import dataset_card, namespace_card
+from imujoco_minari.remotes.connecting import connect
 from imujoco_minari.remotes.stores import (
     FILES,
     METADATA_FILE,
     Store,
-    connect,
     explained,
     metadata,
     namespace_file,

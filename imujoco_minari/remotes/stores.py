@@ -1,28 +1,25 @@
-"""What pushing and pulling ask of a remote, how one is reached, and how its errors are told.
+"""What pushing and pulling ask of a remote, and how its errors are told.
 
 A store is Minari's own ``CloudStorage`` of the remote with another way of uploading and downloading, so
-that what shows on a remote is whole. Addresses are Minari's: ``hf://user`` and ``gcp://bucket``.
+that what shows on a remote is whole.
 """
 
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
 from imujoco_minari.content import MAIN_FILE
-from imujoco_minari.errors import ImujocoError, RemoteError, missing_dependency
+from imujoco_minari.errors import ImujocoError, RemoteError
 from imujoco_minari.roots import NAMESPACE_FILE
 
 METADATA_FILE = "data/metadata.json"
 # The files of a dataset in the order in which they are written: Minari lists what has a metadata.json.
 FILES = (f"data/{MAIN_FILE}", METADATA_FILE)
 CARD = "README.md"
-
-_ADDRESS = re.compile(r"(?P<kind>hf|gcp)://(?P<name>[A-Za-z0-9][-\w.]{0,221})", re.ASCII)
 
 
 class Store(Protocol):
@@ -54,32 +51,6 @@ class Store(Protocol):
 
     def list_datasets(self, prefix: str | None = None) -> Iterator[str]:
         """Yield the ids of the datasets that stock Minari would list."""
-
-
-def connect(address: str, *, token: str | None = None, writing: bool = False) -> Store:
-    """Return the store at ``address``.
-
-    Args:
-        address: ``hf://user`` (or an organisation) or ``gcp://bucket``.
-        token: a Hugging Face token, or the path of a service account's key file for ``gcp``; None looks
-            where the remote's own tools do.
-        writing: whether something will be uploaded, so that a missing token is told now.
-
-    Raises:
-        RemoteError: when the address is malformed, or a token is missing or unreadable.
-        DependencyError: when the remote's package is not installed.
-    """
-    match = _ADDRESS.fullmatch(address)
-    if match is None:
-        raise RemoteError(f"malformed remote {address[:80]!r}; valid: hf://<user> or gcp://<bucket>")
-    with explained(address):
-        if match["kind"] == "hf":
-            with _installed("huggingface_hub", address):
-                from imujoco_minari.remotes.huggingface import HubStore
-            return HubStore.connect(match["name"], token, writing)
-        with _installed("google-cloud-storage", address):
-            from imujoco_minari.remotes.gcp import BucketStore
-        return BucketStore.connect(match["name"], token, writing)
 
 
 def metadata(store: Store, dataset_id: str) -> dict[str, Any] | None:
@@ -120,14 +91,6 @@ def namespaces(dataset_id: str) -> list[str]:
 def namespace_file(namespace: str) -> str:
     """Return the path of a namespace's metadata on a remote."""
     return f"{namespace}/{NAMESPACE_FILE}"
-
-
-@contextmanager
-def _installed(package: str, address: str) -> Iterator[None]:
-    try:
-        yield
-    except ImportError as error:
-        raise missing_dependency(package, "remote", f"the remote {address}") from error
 
 
 @contextmanager
