@@ -28,6 +28,8 @@ MAX_ATTRIBUTES = 200
 MAX_OBJECTS, MAX_DEPTH = 100, 4
 MAX_LINKS = 4
 
+_TEXT = h5py.string_dtype()
+
 
 class UnreadableError(Exception):
     """Something in a file must not be read; the finding says what and why."""
@@ -121,8 +123,9 @@ def attributes(item: Any, where: str) -> dict[str, Any]:
     for index in range(count):
         attribute = h5py.h5a.open(item, index=index)
         key = attribute.name.decode("utf-8", "surrogateescape")
-        shape, dtype = attribute.shape, attribute.dtype
-        text = h5py.check_string_dtype(dtype)
+        shape, kind = attribute.shape, attribute.get_type()
+        text = isinstance(kind, h5py.h5t.TypeStringID)
+        dtype = _TEXT if text and kind.is_variable_str() else kind.dtype
         if not (text or dtype.kind in "fiub") or (text and shape != ()):
             raise UnreadableError(f"{where}@{shown(key)[1:-1]}", "is neither a number nor a text")
         if math.prod(shape) * dtype.itemsize > MAX_ATTRIBUTE_BYTES:
