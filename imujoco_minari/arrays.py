@@ -60,8 +60,8 @@ class Statistics:
         """Return ``(observations - mean) / std``."""
         return ((observations - self.mean) / self.std).astype(observations.dtype, copy=False)
 
-    def to_json(self) -> list[list[float]]:
-        """Return mean and standard deviation as JSON holds them."""
+    def tolist(self) -> list[list[float]]:
+        """Return mean and standard deviation as lists, which JSON can hold."""
         return [self.mean.tolist(), self.std.tolist()]
 
     def denormalize(self, observations: Array) -> Array:
@@ -212,14 +212,14 @@ def arrays(
     criteria = dict(where or {})
     if not cache:
         return _load(chosen, criteria, portion, seed, dtype, normalize)
-    normalized = normalize.to_json() if isinstance(normalize, Statistics) else normalize
+    normalized = normalize.tolist() if isinstance(normalize, Statistics) else normalize
     key = array_cache.key(chosen, criteria, portion, seed, dtype, normalized)
     if found := _cached(key):
         return found
     loaded = _load(chosen, criteria, portion, seed, dtype, normalize)
     described = {
         "table": [asdict(origin) for origin in loaded.table],
-        "statistics": loaded.statistics and loaded.statistics.to_json(),
+        "statistics": loaded.statistics and loaded.statistics.tolist(),
     }
     array_cache.store(key, {name: getattr(loaded, name) for name in _CACHED}, described)
     return _cached(key) or loaded

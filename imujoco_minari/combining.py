@@ -103,7 +103,7 @@ def combine_datasets(
                 else _write(_screened(sources, threads), staged / "data")
             )
         # The bytes go to the disk while their digest is taken.
-        on_disk = threads.submit(_flush, content.main_file(staged / "data"))
+        on_disk = threads.submit(roots.sync_file, content.main_file(staged / "data"))
         _describe(sources, staged / "data", new_dataset_id, attributes)
         content.seal_files(staged / "data")
         on_disk.result()
@@ -219,12 +219,6 @@ def _screen(source: _Source) -> None:
     stated = source.storage.metadata.get(content.FILE_DIGEST)
     if stated != content.file_sha256(source.file) and (finding := survives(source.file.parent)):
         raise DatasetError(f"{source.dataset_id} cannot be combined: {finding}")
-
-
-def _flush(path: Path) -> None:
-    """Wait until what was written to a file is on the disk."""
-    with path.open("rb") as file:
-        os.fsync(file.fileno())
 
 
 def _write(sources: Iterable[_Source], data: Path, linked_from: Path | None = None) -> list[dict[str, Any]]:

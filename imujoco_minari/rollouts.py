@@ -30,6 +30,11 @@ class Evaluation:
     return_max: float
     length_mean: float
 
+    @property
+    def score(self) -> float:
+        """Mean less standard deviation of the returns: what a policy that falls now and then has less of."""
+        return self.return_mean - self.return_std
+
     def asdict(self) -> dict[str, Any]:
         """Return the fields as a dict for JSON."""
         return asdict(self)

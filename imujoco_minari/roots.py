@@ -368,9 +368,14 @@ def _sync(folder: Path) -> None:
     """Force a staged dataset to the disk: a rename must not overtake what it names."""
     for parent, _, names in os.walk(folder):
         for name in names:
-            with (Path(parent) / name).open("rb") as file:
-                os.fsync(file.fileno())
+            sync_file(Path(parent) / name)
         _sync_folder(Path(parent))
+
+
+def sync_file(path: Path) -> None:
+    """Wait until what was written to a file is on the disk."""
+    with path.open("rb") as file:
+        os.fsync(file.fileno())
 
 
 def _sync_folder(folder: Path) -> None:

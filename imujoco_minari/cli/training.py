@@ -21,7 +21,7 @@ from imujoco_minari.cli.app import (
 )
 from imujoco_minari.cli.datasets import Backend, Jobs, report, select
 from imujoco_minari.policies import expert_record, expert_variants, policies_folder
-from imujoco_minari.policies.standing import BAR, share_of_base, standings
+from imujoco_minari.policies.standing import COLUMNS, share_of_base, standings
 from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS, Variant
 
 if TYPE_CHECKING:
@@ -211,13 +211,8 @@ def export(
 
 def _summarise(robots: list[str], categories: list[str]) -> None:
     """Print, for each robot and category, how the experts compare with their base's, and what they took."""
-    columns = ("robot", "category", "policies", "of", "median", "min", f"below {BAR}", "core-hours")
-    rows = []
-    for line in standings(robots, categories):
-        shares = ["-" if share is None else f"{share:.2f}" for share in (line.median, line.minimum)]
-        numbers = [str(line.policies), str(line.of), *shares, str(line.below), f"{line.hours:.1f}"]
-        rows.append([line.robot, line.category, *numbers])
-    print_table(columns, rows, numeric=columns[2:])
+    rows = [standing.cells() for standing in standings(robots, categories)]
+    print_table(COLUMNS, rows, numeric=COLUMNS[2:])
     out.print("\nmedian and min: return as a share of the base expert's")
 
 

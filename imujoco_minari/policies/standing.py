@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from statistics import median
 from typing import Any
+
+import numpy as np
 
 from imujoco_minari.policies.experts import expert_record
 from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS, Variant, bases, catalogue
 
 # The share of its base's return that an expert is to reach.
 BAR = 0.95
+# Of a table of standings; the first two are words.
+COLUMNS = ("robot", "category", "policies", "of", "median", "min", f"below {BAR}", "core-hours")
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,12 @@ class Standing:
     minimum: float | None
     below: int
     hours: float
+
+    def cells(self) -> list[str]:
+        """Return what stands under ``COLUMNS``."""
+        shares = ("-" if share is None else f"{share:.2f}" for share in (self.median, self.minimum))
+        counts = str(self.policies), str(self.of)
+        return [self.robot, self.category, *counts, *shares, str(self.below), f"{self.hours:.1f}"]
 
 
 def standings(
@@ -66,7 +75,7 @@ def standings(
                     category,
                     len(records),
                     len(variants),
-                    median(shares) if shares else None,
+                    float(np.median(shares)) if shares else None,
                     min(shares, default=None),
                     sum(share < BAR for share in shares),
                     sum(map(seconds_trained, records)) / 3600,

@@ -224,9 +224,8 @@ class Run:
         save_arrays(self.folder / "ladder" / f"{progress.steps}.safetensors", arrays)
         if ranked.return_mean >= _SECOND_LOOK * progress.best_score:
             chosen = self._evaluate(arrays, settings.choosing_episodes, CHOOSING_SEED)
-            score = chosen.return_mean - chosen.return_std
-            if score > progress.best_score:
-                progress.best_score, progress.best_steps = score, progress.steps
+            if chosen.score > progress.best_score:
+                progress.best_score, progress.best_steps = chosen.score, progress.steps
                 save_arrays(self.folder / "best.safetensors", arrays)
                 if self.task.variant.category == BASE:
                     # What its variants will start from.

@@ -87,5 +87,6 @@ def best_start(variant: Variant, policies: Path | None = None) -> Start:
 def _scored(env: Env[Any, Any], robot: str, start: Start) -> Start:
     settings = hyperparameters(robot, WARM)
     actor = actor_of(agent_actor(start.agent), settings.algorithm)
-    score = evaluate(env, actor, episodes=settings.ranking_episodes, seed=START_SEED)
-    return replace(start, score=score.return_mean - score.return_std)
+    return replace(
+        start, score=evaluate(env, actor, episodes=settings.ranking_episodes, seed=START_SEED).score
+    )

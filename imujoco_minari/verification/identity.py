@@ -104,21 +104,29 @@ def _env_spec(where: str, text: Any) -> Iterator[Finding]:
         yield Finding(where, f"gives the environment the arguments {shown(arguments)}")
 
 
-def episode(found: Episode, root: Mapping[str, Any], collection: bool) -> Iterator[Finding | Variant]:
-    """Report attributes of an episode that contradict its variant or its dataset, and yield the variant.
+def variant(found: Episode) -> Variant | None:
+    """Return the variant that an episode's attributes name, or None when they name none."""
+    try:
+        return variant_of(found.attributes)
+    except (ImujocoError, KeyError):
+        return None
+
+
+def episode(
+    found: Episode, variant: Variant | None, root: Mapping[str, Any], collection: bool
+) -> Iterator[Finding]:
+    """Report attributes of an episode that contradict its variant or its dataset.
 
     Args:
         found: the episode.
+        variant: the variant that it names, if it names one.
         root: the attributes of its file.
         collection: whether the dataset combines others, whose attributes may differ from its own.
     """
     attrs, name = found.attributes, found.name
-    try:
-        variant = variant_of(attrs)
-    except (ImujocoError, KeyError):
+    if variant is None:
         yield Finding(f"{name}@variant", f"is {shown(attrs.get('variant'))}, which is no variant")
         return
-    yield variant
     for key, value in content.attributes(variant, str(attrs.get("tier"))).items():
         if not same(attrs.get(key), value):
             yield Finding(f"{name}@{key}", f"is {shown(attrs.get(key))}, not {value!r}")

@@ -8,7 +8,7 @@ h5py's low-level interface, which takes a fifth of the time.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from os.path import normpath
 from pathlib import Path
@@ -82,14 +82,14 @@ class Episode:
     arrays: dict[str, Array] = field(default_factory=dict)
 
 
-def names(file: h5py.File) -> Iterator[Finding]:
-    """Report episodes that are missing, and what is no episode."""
+def check_names(file: h5py.File) -> None:
+    """Raise an :class:`UnreadableError` unless a file holds episodes, all of them, and nothing else."""
     found, expected = set(file), {f"episode_{number}" for number in range(len(file))}
     if not found:
-        yield Finding(content.MAIN_FILE, "holds no episode")
-    elif found != expected:
+        raise UnreadableError(content.MAIN_FILE, "holds no episode")
+    if found != expected:
         odd = sorted(found ^ expected)[0]
-        yield Finding(content.MAIN_FILE, f"holds {shown(odd)} out of sequence")
+        raise UnreadableError(content.MAIN_FILE, f"holds {shown(odd)} out of sequence")
 
 
 def look(file: h5py.File, data: Path, number: int) -> Episode:

@@ -107,8 +107,7 @@ def _check(part: Part, data: Path, number: int, count: int) -> None:
         # Before the file is opened: what its metadata would run is told even where it cannot be read.
         part.findings += [*digests.files(data, metadata), *identity.loadable(metadata)]
     with h5py.File(content.main_file(data), "r") as file:
-        if misnamed := list(looking.names(file)):
-            raise looking.UnreadableError(misnamed[0].where, misnamed[0].what)
+        looking.check_names(file)
         part.episodes, root = len(file), looking.attributes(file.id, "")
         for episode in range(part.episodes * number // count, part.episodes * (number + 1) // count):
             _check_episode(part, looking.look(file, data, episode), episode, root, metadata)
@@ -131,13 +130,11 @@ def _check_episode(
     if broken:
         part.sound = False
         return
-    for found in identity.episode(episode, root, identity.is_collection(metadata)):
-        if isinstance(found, Finding):
-            part.findings.append(found)
-        else:
-            named = {key: str(episode.attributes.get(key, "")) for key in ("variant", CATALOGUE)}
-            if named not in part.variants:
-                part.variants.append(named)
+    variant = identity.variant(episode)
+    named = {key: str(episode.attributes.get(key, "")) for key in ("variant", CATALOGUE)}
+    if variant is not None and named not in part.variants:
+        part.variants.append(named)
+    part.findings += identity.episode(episode, variant, root, identity.is_collection(metadata))
     changed = list(digests.arrays(episode, read))
     part.findings += changed
     part.intact &= not changed
