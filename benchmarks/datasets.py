@@ -22,6 +22,7 @@ from imujoco_minari.adapters import to_d3rlpy, to_torchrl
 from imujoco_minari.arrays import STEP_ARRAYS, Arrays, arrays
 from imujoco_minari.combining import combine_datasets
 from imujoco_minari.sampling import episode_batches, transition_batches
+from imujoco_minari.transitions import pack
 
 
 def combining_row(ids: list[str], rounds: int) -> Row:
@@ -162,8 +163,10 @@ def _transitions_row(data: Arrays, ids: list[str], rounds: int) -> Row:
 
     def epochs() -> Iterator[Any]:
         while True:
-            yield from transition_batches(data, 256, seed=int(rng.integers(2**31)))
+            yield from transition_batches(packed, 256, seed=int(rng.integers(2**31)))
 
+    packing = take_turns({OURS: lambda: pack(data)}, 1)
+    packed = pack(data)
     stream = epochs()
     # The order of an epoch is drawn once for its thousands of batches.
     next(stream)
@@ -204,7 +207,13 @@ def _transitions_row(data: Arrays, ids: list[str], rounds: int) -> Row:
         slow["d3rlpy"] = sampling(partial(to_d3rlpy(data).sample_transition_batch, 256), 20)
     else:
         missing.append("d3rlpy")
-    seconds = take_turns({OURS: ours, **peers, **slow, LIMIT: indexing}, rounds)
+    columns = transition_batches(data, 256)
+
+    def unpacked() -> None:
+        for _ in range(batches):
+            next(columns)
+
+    seconds = take_turns({OURS: ours, "not packed": unpacked, **peers, **slow, LIMIT: indexing}, rounds)
     for name in slow:
         seconds[name] = [value * 20 for value in seconds[name]]
     best = min({**peers, **slow}, key=lambda name: ratio(seconds[name], seconds[OURS]))
@@ -218,7 +227,8 @@ def _transitions_row(data: Arrays, ids: list[str], rounds: int) -> Row:
             "times indexing": ratio(seconds[OURS], seconds[LIMIT]),
         },
         {"times the best peer": ("least", 10.0)},
-        f"of {len(data):,}; the best peer is {best}; SB3 and TorchRL give torch tensors"
+        f"of {len(data):,}, packed in {times(packing)[OURS]:.2f} s; the best peer is {best}; "
+        "SB3 and TorchRL give torch tensors"
         + (f"; not installed here: {', '.join(missing)}" if missing else ""),
     )
 

@@ -14,26 +14,31 @@ import torch
 from torch.utils.data import Dataset
 
 from imujoco_minari.arrays import Arrays
-from imujoco_minari.sampling import gather_transitions, gather_windows, window_starts
+from imujoco_minari.sampling import gather_windows, window_starts
+from imujoco_minari.transitions import Packed, gather_transitions
 
 Batch = dict[str, torch.Tensor]
 
 
 class TransitionDataset(Dataset[Batch]):
-    """Steps, each a dict of the tensors of :class:`~imujoco_minari.sampling.Transitions`."""
+    """Steps, each a dict of the tensors of :class:`~imujoco_minari.transitions.Transitions`.
 
-    def __init__(self, data: Arrays) -> None:
-        self.arrays = data
+    Args:
+        data: the arrays, or what :func:`~imujoco_minari.transitions.pack` made of them.
+    """
+
+    def __init__(self, data: Arrays | Packed) -> None:
+        self.data = data
 
     def __len__(self) -> int:
-        return len(self.arrays)
+        return len(self.data)
 
     def __getitem__(self, row: int) -> Batch:
         return {name: tensor[0] for name, tensor in self.__getitems__([row]).items()}
 
     def __getitems__(self, rows: Sequence[int]) -> Batch:
         """Return a batch of steps."""
-        return _tensors(gather_transitions(self.arrays, np.asarray(rows)))
+        return _tensors(gather_transitions(self.data, np.asarray(rows)))
 
 
 class WindowDataset(Dataset[Batch]):

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import islice
+
 import numpy as np
 import pytest
 import torch
 from synthetic_arrays import BASE, LEG, RANDOM, synthetic
 from torch.utils.data import DataLoader
 
+from imujoco_minari.arrays import Arrays
 from imujoco_minari.errors import DatasetError, DatasetExistsError, VariantError
 from imujoco_minari.preferences import preference_pairs
 from imujoco_minari.sampling import (
@@ -19,6 +24,7 @@ from imujoco_minari.sampling import (
     window_starts,
 )
 from imujoco_minari.torch_data import TransitionDataset, WindowDataset, as_is
+from imujoco_minari.transitions import Packed, Transitions, pack
 
 LENGTHS = [5, 3, 7, 4]
 
@@ -125,6 +131,37 @@ def test_transition_batches_are_every_step_once() -> None:
     assert not np.array_equal(seen, data.observations)
 
 
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_packed_transitions_make_the_same_batches(dtype: type) -> None:
+    data = synthetic(LENGTHS, truncated=[0, 1, 2, 3])
+    data = replace(data, observations=data.observations.astype(dtype))
+    packed = pack(data)
+    for name in Transitions._fields:
+        # Nothing of the packed rows depends on the arrays any more.
+        np.testing.assert_array_equal(getattr(packed[:], name), getattr(data, name))
+        assert not np.shares_memory(packed.rows, getattr(data, name))
+    batches = zip(transition_batches(data, 8, seed=1), transition_batches(packed, 8, seed=1), strict=True)
+    for batch, same in batches:
+        for column, packed_column in zip(batch, same, strict=True):
+            assert column.dtype == packed_column.dtype
+            np.testing.assert_array_equal(column, packed_column)
+
+
+def test_a_batch_may_be_written_to_without_harm_to_the_data_or_the_next() -> None:
+    packed = pack(synthetic(LENGTHS))
+    before = packed.rows.copy()
+    first, second = islice(transition_batches(packed, 4), 2)
+    kept = second.observations.copy()
+    first.observations[:] = np.nan
+    np.testing.assert_array_equal(packed.rows, before)
+    np.testing.assert_array_equal(second.observations, kept)
+
+
+def test_a_packed_row_that_is_not_there_is_refused() -> None:
+    with pytest.raises(IndexError, match="out of bounds"):
+        pack(synthetic([3]))[np.array([3])]
+
+
 def test_windows_stay_within_their_episode() -> None:
     data = synthetic(LENGTHS)
     batches = list(window_batches(data, 3, 4))
@@ -164,9 +201,10 @@ def test_empty_batches_and_windows_are_refused(size: int) -> None:
         window_starts(synthetic([3]), size)
 
 
-def test_a_loader_of_transitions_gives_every_step_once() -> None:
+@pytest.mark.parametrize("prepare", [lambda data: data, pack])
+def test_a_loader_of_transitions_gives_every_step_once(prepare: Callable[[Arrays], Arrays | Packed]) -> None:
     data = synthetic(LENGTHS)
-    loader = DataLoader(TransitionDataset(data), batch_size=8, shuffle=True, collate_fn=as_is)
+    loader = DataLoader(TransitionDataset(prepare(data)), batch_size=8, shuffle=True, collate_fn=as_is)
     batches = list(loader)
     assert sum(len(batch["rewards"]) for batch in batches) == len(data)
     seen = torch.cat([batch["observations"] for batch in batches]).numpy()
