@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
 from types import MappingProxyType
@@ -133,6 +133,16 @@ class Variant:
     def base(self) -> Variant:
         """The unchanged robot of this variant."""
         return Variant(self.robot, BASE, 0, "")
+
+    def milder(self, count: int) -> tuple[Variant, ...]:
+        """Return variants between the base and this one, in even steps of percent, the mildest first.
+
+        Args:
+            count: how many; fewer where whole percents do not suffice, none for the base robot.
+        """
+        percents = (round(self.percent * step / (count + 1)) for step in range(1, count + 1))
+        between = dict.fromkeys(percent for percent in percents if percent not in (0, self.percent))
+        return tuple(replace(self, percent=percent) for percent in between)
 
     @property
     def mjcf_names(self) -> tuple[str, ...]:

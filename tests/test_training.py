@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import minari
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from imujoco_minari.errors import CatalogueError, PolicyError, PolicyNotFoundErr
 from imujoco_minari.policies import expert_actor, expert_record, expert_variants, policies_folder
 from imujoco_minari.publishing import publish
 from imujoco_minari.registration import make
-from imujoco_minari.rollouts import evaluate
+from imujoco_minari.rollouts import Evaluation, evaluate
 from imujoco_minari.training import sweep
 from imujoco_minari.training.agents import (
     actor_of,
@@ -28,7 +29,7 @@ from imujoco_minari.training.agents import (
     restore_agent,
     save_arrays,
 )
-from imujoco_minari.training.hyperparameters import SCRATCH, WARM, hyperparameters
+from imujoco_minari.training.hyperparameters import FAR, SCRATCH, WARM, hyperparameters
 from imujoco_minari.training.replay import record_replay
 from imujoco_minari.training.run import CONFIRMING_SEED, Run, Task
 from imujoco_minari.training.starts import START_SEED, best_start
@@ -46,13 +47,25 @@ TINY: dict[str, Any] = {
     "batch_size": 16,
     "ranking_episodes": 1,
     "choosing_episodes": 2,
+    "deciding_episodes": 3,
     "confirming_episodes": 3,
 }
 
 
+# Two milder variants for 200 of the 350 steps, which end in the second and third intervals.
+STONES = TINY | {"stones": 2, "approach_steps": 200}
+
+
+@pytest.mark.parametrize(
+    "task",
+    [
+        Task(BASE, hyperparameters("hopper", SCRATCH, **TINY)),
+        Task(LIGHT_LEG, hyperparameters("hopper", FAR, **STONES)),
+    ],
+    ids=["base", "by stepping stones"],
+)
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_a_killed_run_ends_in_the_weights_of_one_that_was_not(tmp_path: Path) -> None:
-    task = Task(BASE, hyperparameters("hopper", SCRATCH, **TINY))
+def test_a_killed_run_ends_in_the_weights_of_one_that_was_not(task: Task, tmp_path: Path) -> None:
     whole = Run(task, tmp_path / "whole")
     record = whole.train()
     broken = Run(task, tmp_path / "broken")
@@ -235,9 +248,62 @@ def test_the_last_steps_are_made_at_the_settling_rate(tmp_path: Path) -> None:
     assert not all(np.array_equal(learning[name], settled[name]) for name in settled)
 
 
-@pytest.mark.parametrize(("share", "rate"), [(0.5, 1e-3), (0.95, 3e-4)])
-def test_a_start_that_is_nearly_there_takes_smaller_steps(
-    share: float, rate: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_run_goes_by_way_of_milder_variants_and_is_judged_in_its_own(tmp_path: Path) -> None:
+    task = Task(LIGHT_LEG, hyperparameters("hopper", FAR, **STONES | {"max_steps": 450}))
+    trained_in: list[str] = []
+
+    class Watch(gym.Wrapper[Any, Any, Any, Any]):
+        def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
+            observation, info = super().reset(**kwargs)
+            trained_in.append(info["variant"])
+            return observation, info
+
+    run = Run(task, tmp_path, Watch)
+    steps = [0]
+    begun = [0]
+    while not run.finished:
+        run._interval()
+        steps.append(run.progress.steps)
+        begun.append(len(trained_in))
+    assert steps == [0, 100, 160, 260, 360, 460]
+    # Each interval begins with a reset; it begins in the variant that its first step is due in.
+    firsts = [trained_in[number] for number in begun[:-1]]
+    assert firsts == [f"hopper-massdec_{percent}_leggeom" for percent in (8, 17, 17, 25, 25)]
+    assert run._judge.unwrapped.variant == LIGHT_LEG
+    run.close()
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_an_actor_that_seems_the_best_is_looked_at_longer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    task = Task(BASE, hyperparameters("hopper", SCRATCH, **TINY))
+    run = Run(task, tmp_path)
+    looks: list[int] = []
+
+    def evaluate(run: Run, arrays: Any, episodes: int, seed: int) -> Evaluation:
+        looks.append(episodes)
+        # Better and better in two episodes, and never in three: it falls in the third.
+        score = {1: 50.0, 2: 50.0 + len(looks), 3: 40.0}[episodes]
+        return Evaluation(episodes, seed, True, score, 0.0, score, score, 1.0)
+
+    monkeypatch.setattr(Run, "_evaluate", evaluate)
+    # Two intervals only explore.
+    for _ in range(4):
+        run._interval()
+    assert looks == [1, 2, 3] * 2
+    assert run.progress.best_score == 40.0
+    assert run.progress.best_steps == 260
+    run.close()
+
+
+@pytest.mark.parametrize(
+    ("share", "rate", "stones"),
+    [(-0.1, 1e-3, 4), (0.4, 1e-3, 4), (0.5, 1e-3, 0), (0.95, 3e-4, 0)],
+)
+def test_a_far_start_takes_stepping_stones_and_a_near_one_smaller_steps(
+    share: float, rate: float, stones: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     base = expert_record(BASE)["evaluation"]
     asked = 0.98 * (base["return_mean"] - base["return_std"])
@@ -245,6 +311,8 @@ def test_a_start_that_is_nearly_there_takes_smaller_steps(
     monkeypatch.setattr(sweep, "best_start", lambda variant, policies: start)
     task = sweep.task(LIGHT_LEG, Plan(tmp_path))
     assert task.target == pytest.approx(asked)
+    assert task.settings.stones == stones
+    assert len(task.path) == (stones + 1 if stones else 0)
     assert task.settings.rate(0) == task.settings.learning_rate == rate
     assert task.settings.rate(task.settings.max_steps) == task.settings.settling_rate == 1e-4
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import pairwise
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -51,6 +54,26 @@ def variants(draw: st.DrawFn) -> Variant:
     body = draw(st.sampled_from(sorted(specification(robot).changes[category].bodies)))
     percent = draw(st.integers(-99, 0 if category == "joint" else 10_000))
     return Variant(robot, category, percent, body)
+
+
+@given(variants(), st.integers(0, 12))
+def test_milder_variants_lead_from_the_base_to_the_variant(variant: Variant, count: int) -> None:
+    percents = [milder.percent for milder in variant.milder(count)]
+    assert len(percents) == min(count, max(0, abs(variant.percent) - 1))
+    path = [0, *map(abs, percents), max(1, abs(variant.percent))]
+    assert path == sorted(set(path))
+    assert all(percent * variant.percent > 0 for percent in percents)
+    # Even steps, to the rounding.
+    gaps = [after - before for before, after in pairwise(path)]
+    assert max(gaps) - min(gaps) <= 1 or variant.percent == 0
+    assert all(replace(milder, percent=variant.percent) == variant for milder in variant.milder(count))
+
+
+def test_the_base_has_no_milder_variants() -> None:
+    assert Variant.parse("hopper-base").milder(4) == ()
+    assert list(map(str, Variant.parse("hopper-lengthdec_25_leggeom").milder(4))) == [
+        f"hopper-lengthdec_{percent}_leggeom" for percent in (5, 10, 15, 20)
+    ]
 
 
 @given(variants())

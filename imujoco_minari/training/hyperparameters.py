@@ -10,7 +10,14 @@ from typing import Any
 
 from imujoco_minari.errors import CatalogueError
 
-SCRATCH, WARM, NEAR, GENERALIST, IMPROVE = _STARTS = ("scratch", "warm", "near", "generalist", "improve")
+SCRATCH, FAR, WARM, NEAR, GENERALIST, IMPROVE = _STARTS = (
+    "scratch",
+    "far",
+    "warm",
+    "near",
+    "generalist",
+    "improve",
+)
 
 
 @dataclass(frozen=True)
@@ -27,12 +34,15 @@ class Hyperparameters:
         learning_rate: of actor, critics and entropy coefficient.
         settling_rate: the learning rate of the last steps.
         settling_steps: how many those are.
+        stones: milder variants that the run first trains in, one after the other (stepping stones).
+        approach_steps: steps that those take together.
         gamma: discount factor.
         exploration_steps: steps before the first update, random or of the loaded policy.
         evaluate_every: steps between two evaluations, which are also the checkpoints.
         max_steps: where a run ends that has not reached its target.
         ranking_episodes: episodes of each evaluation.
         choosing_episodes: episodes of a second look at evaluations that rank high.
+        deciding_episodes: episodes of a third look at those that seem better than the best.
         confirming_episodes: episodes of the final evaluation, on seeds of its own.
     """
 
@@ -45,12 +55,15 @@ class Hyperparameters:
     learning_rate: float
     settling_rate: float
     settling_steps: int
+    stones: int
+    approach_steps: int
     gamma: float
     exploration_steps: int
     evaluate_every: int
     max_steps: int
     ranking_episodes: int
     choosing_episodes: int
+    deciding_episodes: int
     confirming_episodes: int
 
     def rate(self, steps: int) -> float:
@@ -68,8 +81,9 @@ def hyperparameters(robot: str, start: str, **changes: Any) -> Hyperparameters:
 
     Args:
         robot: its name.
-        start: ``scratch``, ``warm`` (from another's agent), ``near`` (from another's that does nearly as
-            well as is asked), ``generalist`` (another's, over all variants) or ``improve`` (its own).
+        start: ``scratch``, ``warm`` (from another's agent), ``near`` and ``far`` (from another's that does
+            nearly as well as is asked, or not half as well), ``generalist`` (another's, over all variants)
+            or ``improve`` (its own).
         **changes: what differs from the file.
 
     Raises:

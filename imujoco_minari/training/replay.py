@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -49,6 +50,8 @@ def record_replay(
         on_interval: called with the run's progress and hyperparameters after every evaluation.
     """
     shutil.rmtree(folder, ignore_errors=True)
+    # The tier holds this variant's transitions, not those of milder ones.
+    task = replace(task, settings=replace(task.settings, stones=0))
     collectors: list[ReplayCollector] = []
     attributes = content.attributes(task.variant, REPLAY)
     dataset_id = task.variant.dataset_id(REPLAY)

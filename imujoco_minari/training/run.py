@@ -54,7 +54,7 @@ class Task:
         start: name of the agent that the run starts from, ``scratch`` or a base robot.
         agent: its arrays; empty from scratch.
         start_sha256: digest of that agent's actor, as its own record has it.
-        target: return (mean less standard deviation, over the choosing episodes) at which to stop.
+        target: return (mean less standard deviation, over the deciding episodes) at which to stop.
     """
 
     variant: Variant
@@ -66,12 +66,23 @@ class Task:
     target: float = float("inf")
     among: tuple[Variant, ...] = ()
 
-    def environment(self) -> gym.Env[Any, Any]:
-        """Make the environment to train and to judge in."""
-        if self.among:
-            return gym.make(
-                collection_spec(f"{self.variant.robot}-all", self.among), disable_env_checker=True
-            )
+    @property
+    def path(self) -> tuple[Variant, ...]:
+        """The variants to train in, one after the other; empty when there is but one."""
+        stones = self.variant.milder(self.settings.stones)
+        return (*stones, self.variant) if stones else ()
+
+    def place(self, steps: int) -> Variant | None:
+        """Return the variant of the path to train in after so many steps; None when there is no path."""
+        if not self.path:
+            return None
+        stones = len(self.path) - 1
+        return self.path[min(stones, stones * steps // self.settings.approach_steps)]
+
+    def environment(self, among: tuple[Variant, ...] = ()) -> gym.Env[Any, Any]:
+        """Make the environment of the variant, or of several."""
+        if among:
+            return gym.make(collection_spec(f"{self.variant.robot}-all", among), disable_env_checker=True)
         return make(self.variant, disable_env_checker=True)
 
 
@@ -111,10 +122,13 @@ class SeededResets(gym.Wrapper[Any, Any, Any, Any]):
         super().__init__(env)
         self._seed = seed
         self.episodes = 0
+        self.variant: Variant | None = None
 
     def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
-        """Reset with the next seed."""
+        """Reset with the next seed, in ``variant`` where one is set."""
         kwargs["seed"] = episode_seed(self._seed, self.episodes)
+        if self.variant is not None:
+            kwargs["options"] = {"variant": str(self.variant)}
         self.episodes += 1
         return self.env.reset(**kwargs)
 
@@ -139,8 +153,8 @@ class Run:
         self.task, self.folder, self.progress = task, folder, Progress()
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "ladder").mkdir(exist_ok=True)
-        self._env = SeededResets(wrap(task.environment()), task.seed)
-        self._judge = task.environment()
+        self._env = SeededResets(wrap(task.environment(task.among or task.path)), task.seed)
+        self._judge = task.environment(task.among)
         self._device = device
         self._checkpoint_file = folder / _CHECKPOINT
         arrays = load_arrays(self._checkpoint_file) if self._checkpoint_file.is_file() else {}
@@ -203,6 +217,7 @@ class Run:
         agent.learning_starts = settings.exploration_steps if self.task.start == SCRATCH else 0
         agent.gradient_steps = 0 if exploring else settings.updates_per_call
         agent._last_obs = None
+        self._env.variant = self.task.place(progress.steps)
         steps = settings.evaluate_every
         if exploring:
             steps = min(steps, settings.exploration_steps - progress.steps)
@@ -223,9 +238,9 @@ class Run:
         ranked = self._evaluate(arrays, settings.ranking_episodes, RANKING_SEED)
         save_arrays(self.folder / "ladder" / f"{progress.steps}.safetensors", arrays)
         if ranked.return_mean >= _SECOND_LOOK * progress.best_score:
-            chosen = self._evaluate(arrays, settings.choosing_episodes, CHOOSING_SEED)
-            if chosen.score > progress.best_score:
-                progress.best_score, progress.best_steps = chosen.score, progress.steps
+            score = self._score(arrays)
+            if score > progress.best_score:
+                progress.best_score, progress.best_steps = score, progress.steps
                 save_arrays(self.folder / "best.safetensors", arrays)
                 if self.task.variant.category == BASE:
                     # What its variants will start from.
@@ -234,6 +249,15 @@ class Run:
         progress.evaluations.append(
             {"steps": progress.steps, "best_score": progress.best_score} | ranked.asdict()
         )
+
+    def _score(self, arrays: dict[str, Array]) -> float:
+        """Return mean less deviation over the deciding episodes, or over fewer that look no better."""
+        score = float("-inf")
+        for episodes in (self.task.settings.choosing_episodes, self.task.settings.deciding_episodes):
+            score = self._evaluate(arrays, episodes, CHOOSING_SEED).score
+            if score <= self.progress.best_score:
+                break
+        return score
 
     def _evaluate(self, arrays: dict[str, Array], episodes: int, seed: int) -> Evaluation:
         actor = actor_of(arrays, self.task.settings.algorithm)

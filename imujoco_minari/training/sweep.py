@@ -21,6 +21,7 @@ from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies import expert_record, policies_folder
 from imujoco_minari.training.agents import load_arrays, save_arrays
 from imujoco_minari.training.hyperparameters import (
+    FAR,
     GENERALIST,
     IMPROVE,
     NEAR,
@@ -37,6 +38,8 @@ from imujoco_minari.variants import BASE, Variant, catalogue
 TARGET_SHARE = 0.98
 # A start that has this share of what is asked needs smaller steps, not more.
 NEAR_SHARE = 0.9
+# One that has less than this share goes by way of milder variants.
+FAR_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -229,8 +232,8 @@ def task(variant: Variant, plan: Plan) -> Task:
     asked = TARGET_SHARE * _score(record)
     if plan.target is None and not improving:
         target = asked
-    near = NEAR if start.score >= NEAR_SHARE * asked else WARM
-    settings = hyperparameters(variant.robot, IMPROVE if variant.category == BASE else near, **plan.changes)
+    kind = IMPROVE if variant.category == BASE else _kind(start.score / asked)
+    settings = hyperparameters(variant.robot, kind, **plan.changes)
     return Task(
         variant,
         settings,
@@ -240,6 +243,13 @@ def task(variant: Variant, plan: Plan) -> Task:
         start_sha256=start.sha256,
         target=target,
     )
+
+
+def _kind(share: float) -> str:
+    """Return what kind of start one is that has this share of what is asked."""
+    if share >= NEAR_SHARE:
+        return NEAR
+    return WARM if share >= FAR_SHARE else FAR
 
 
 def _in_order(variants: Sequence[Variant], plan: Plan) -> Iterator[list[Variant | str]]:
