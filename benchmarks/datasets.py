@@ -7,7 +7,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,13 +15,14 @@ from typing import Any
 
 import minari
 import numpy as np
+import torch
 
 from benchmarks.measuring import LIMIT, OURS, STOCK, Row, ratio, take_turns, times
 from imujoco_minari import content, roots
 from imujoco_minari.adapters import to_d3rlpy, to_torchrl
 from imujoco_minari.arrays import STEP_ARRAYS, Arrays, arrays
 from imujoco_minari.combining import combine_datasets
-from imujoco_minari.sampling import episode_batches, transition_batches
+from imujoco_minari.sampling import Sampler, episode_batches, transition_samples
 from imujoco_minari.transitions import pack
 
 
@@ -157,19 +158,13 @@ def sampling_rows(ids: list[str], rounds: int) -> list[Row]:
 
 
 def _transitions_row(data: Arrays, ids: list[str], rounds: int) -> Row:
-    batches = 200
+    batches = 1000
     dataset = minari.load_dataset(ids[0])
     rng = np.random.default_rng(0)
 
-    def epochs() -> Iterator[Any]:
-        while True:
-            yield from transition_batches(packed, 256, seed=int(rng.integers(2**31)))
-
     packing = take_turns({OURS: lambda: pack(data)}, 1)
     packed = pack(data)
-    stream = epochs()
-    # The order of an epoch is drawn once for its thousands of batches.
-    next(stream)
+    stream, columns = transition_samples(packed, 256), transition_samples(data, 256)
 
     def ours() -> None:
         for _ in range(batches):
@@ -207,7 +202,6 @@ def _transitions_row(data: Arrays, ids: list[str], rounds: int) -> Row:
         slow["d3rlpy"] = sampling(partial(to_d3rlpy(data).sample_transition_batch, 256), 20)
     else:
         missing.append("d3rlpy")
-    columns = transition_batches(data, 256)
 
     def unpacked() -> None:
         for _ in range(batches):
@@ -268,7 +262,30 @@ def _episodes_row(data: Arrays, ids: list[str], rounds: int) -> Row:
                 for key in ("observations", "actions", "rewards"):
                     getattr(data, key)[rows].copy()
 
-    seconds = take_turns({OURS: ours, STOCK: stock, LIMIT: copying}, rounds)
+    sampler = Sampler(data, portion=(0.0, 1.0), torch=True)
+
+    def ours_as_tensors() -> None:
+        for _ in range(batches):
+            sampler.sample(5, 0)
+
+    # What the original's sampler does with its tables, whose episodes all have a thousand rows.
+    tables = tuple(torch.from_numpy(array) for array in (data.observations, data.actions))
+    starts = np.arange(0, data.episode_ends[data.episode_variants == 0][-1], 1000)
+
+    def as_the_original() -> None:
+        for _ in range(batches):
+            drawn = rng.choice(starts, size=5, replace=False)
+            for table in tables:
+                torch.cat([table[start : start + 1000][None] for start in drawn])
+
+    contenders = {
+        OURS: ours,
+        "Sampler": ours_as_tensors,
+        STOCK: stock,
+        "as the original": as_the_original,
+        LIMIT: copying,
+    }
+    seconds = take_turns(contenders, rounds)
     return Row(
         "batches of 5 whole episodes",
         times(seconds, 1e6 / batches),
@@ -276,6 +293,7 @@ def _episodes_row(data: Arrays, ids: list[str], rounds: int) -> Row:
         {
             "times stock": ratio(seconds[STOCK], seconds[OURS]),
             "times copying": ratio(seconds[OURS], seconds[LIMIT]),
+            "Sampler, times the original's way": ratio(seconds["as the original"], seconds["Sampler"]),
         },
-        notes="stock is minari's sample_episodes, which reads the disk",
+        notes="stock, minari's sample_episodes, reads the disk; the original's gives two arrays and no mask",
     )

@@ -7,6 +7,7 @@ variant: by episode instead of by a thousand rows, seeded, and with a mask where
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from itertools import count
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -23,7 +24,7 @@ Array = NDArray[Any]
 
 
 # Batches that are gathered at once: a call of NumPy costs as much as the rows of a small batch.
-_AHEAD = 8
+_AHEAD = 16
 
 
 class Windows(NamedTuple):
@@ -88,6 +89,9 @@ class Sampler:
         self.arrays = data
         self._horizon, self._torch = horizon, torch
         self._rng = np.random.default_rng(seed)
+        variants = data.episode_variants
+        self._episodes = [np.flatnonzero(variants == place) for place in range(len(data.table))]
+        self._lengths = np.minimum(data.episode_lengths, horizon)
 
     def __len__(self) -> int:
         """The number of variants (and tiers) to draw from."""
@@ -106,19 +110,19 @@ class Sampler:
             DatasetError: when the variant has fewer episodes than asked for without replacement.
         """
         place = int(self._rng.integers(len(self))) if idx is None else self._place(idx)
-        episodes = np.flatnonzero(self.arrays.episode_variants == place)
+        episodes = self._episodes[place]
         if tot_shots < 1 or (tot_shots > len(episodes) and not replace):
             raise DatasetError(
                 f"{self.arrays.table[place].variant} has {len(episodes)} episodes in this portion: "
                 f"{tot_shots} cannot be drawn{'' if tot_shots < 1 else ' without replacement'}"
             )
         drawn = self._rng.choice(episodes, size=tot_shots, replace=replace)
-        windows = gather_windows(self.arrays, self.arrays.episode_starts[drawn], self._horizon)
-        shots = Shots(
-            windows.observations.astype(np.float32, copy=False),
-            windows.actions.astype(np.float32, copy=False),
-            windows.mask,
+        starts, lengths = self.arrays.episode_starts[drawn], self._lengths[drawn]
+        observations, actions = (
+            _padded(column, starts, lengths, self._horizon).astype(np.float32, copy=False)
+            for column in (self.arrays.observations, self.arrays.actions)
         )
+        shots = Shots(observations, actions, np.arange(self._horizon) < lengths[:, None])
         return Shots(*map(_tensor, shots)) if self._torch else shots
 
     def _place(self, idx: int | str) -> int:
@@ -148,6 +152,34 @@ def gather_windows(data: Arrays, starts: Array, length: int) -> Windows:
     for column in (observations, actions, rewards, timesteps):
         column[~mask] = 0
     return Windows(observations, actions, rewards, timesteps, data.variant_index[starts], mask)
+
+
+def gather_episodes(data: Arrays, episodes: Array, length: int) -> Windows:
+    """Return the first ``length`` steps of these episodes, padded with zeros.
+
+    The same as windows from their starts, in half the time: an episode is copied in one piece.
+    """
+    starts = data.episode_starts[episodes]
+    lengths = np.minimum(data.episode_lengths[episodes], length)
+    timesteps = np.arange(length)
+    mask = timesteps < lengths[:, None]
+    return Windows(
+        _padded(data.observations, starts, lengths, length),
+        _padded(data.actions, starts, lengths, length),
+        _padded(data.rewards, starts, lengths, length),
+        timesteps * mask,
+        data.variant_index[starts],
+        mask,
+    )
+
+
+def _padded(column: Array, starts: Array, lengths: Array, length: int) -> Array:
+    """Return the first rows of episodes, (episodes, length, ...), zero beyond ``lengths``."""
+    several = np.empty((len(starts), length, *column.shape[1:]), column.dtype)
+    for episode, start, steps in zip(several, starts.tolist(), lengths.tolist(), strict=True):
+        episode[:steps] = column[start : start + steps]
+        episode[steps:] = 0
+    return several
 
 
 def window_starts(data: Arrays, length: int, *, padded: bool = False) -> Array:
@@ -180,7 +212,20 @@ def transition_batches(data: Arrays | Packed, batch_size: int, *, seed: int = 0)
 
     Packed data (:func:`~imujoco_minari.transitions.pack`) gives the same batches in half the time.
     """
-    ahead = _batches(np.arange(len(data)), batch_size, seed, at_once=_AHEAD)
+    # Half the bytes of an index take half the time to shuffle.
+    rows = np.arange(len(data), dtype=np.min_scalar_type(-len(data)))
+    ahead = _batches(rows, batch_size, seed, at_once=_AHEAD)
+    return (batch for rows in ahead for batch in _split(gather_transitions(data, rows), batch_size))
+
+
+def transition_samples(data: Arrays | Packed, batch_size: int, *, seed: int = 0) -> Iterator[Transitions]:
+    """Yield batches without end, every step drawn anew from all, as a replay buffer samples.
+
+    Packed data (:func:`~imujoco_minari.transitions.pack`) gives the same batches in half the time.
+    """
+    _check_size(batch_size)
+    rng, size = np.random.default_rng(seed), batch_size * _AHEAD
+    ahead = (rng.integers(len(data), size=size) for _ in count())
     return (batch for rows in ahead for batch in _split(gather_transitions(data, rows), batch_size))
 
 
@@ -195,20 +240,30 @@ def window_batches(
 def episode_batches(data: Arrays, batch_size: int, *, seed: int = 0) -> Iterator[Windows]:
     """Yield all episodes once, in an order drawn by ``seed``, padded to the longest of their batch."""
     for batch in _batches(np.arange(data.episodes), batch_size, seed):
-        yield gather_windows(data, data.episode_starts[batch], int(data.episode_lengths[batch].max()))
+        yield gather_episodes(data, batch, int(data.episode_lengths[batch].max()))
 
 
 def _batches(items: Array, batch_size: int, seed: int, at_once: int = 1) -> Iterator[Array]:
-    if batch_size < 1:
-        raise DatasetError(f"a batch holds at least one, not {batch_size}")
+    _check_size(batch_size)
     order = np.random.default_rng(seed).permutation(items)
     size = batch_size * at_once
     return (order[start : start + size] for start in range(0, len(order), size))
 
 
+def _check_size(batch_size: int) -> None:
+    if batch_size < 1:
+        raise DatasetError(f"a batch holds at least one, not {batch_size}")
+
+
 def _split(several: Transitions, batch_size: int) -> Iterator[Transitions]:
-    for start in range(0, len(several.rewards), batch_size):
-        yield Transitions(*(column[start : start + batch_size] for column in several))
+    whole = len(several.rewards) // batch_size
+    # Walking along an axis of batches takes half the time of slicing.
+    batches = (
+        column[: whole * batch_size].reshape(whole, batch_size, *column.shape[1:]) for column in several
+    )
+    yield from map(Transitions._make, zip(*batches, strict=True))
+    if whole * batch_size < len(several.rewards):
+        yield Transitions(*(column[whole * batch_size :] for column in several))
 
 
 def _tensor(array: Array) -> Any:

@@ -18,8 +18,10 @@ from imujoco_minari.preferences import preference_pairs
 from imujoco_minari.sampling import (
     Sampler,
     episode_batches,
+    gather_episodes,
     gather_windows,
     transition_batches,
+    transition_samples,
     window_batches,
     window_starts,
 )
@@ -131,6 +133,23 @@ def test_transition_batches_are_every_step_once() -> None:
     assert not np.array_equal(seen, data.observations)
 
 
+def test_transition_samples_are_drawn_without_end_and_with_replacement() -> None:
+    data = synthetic(LENGTHS)
+    batches = list(islice(transition_samples(data, 8, seed=1), 200))
+    assert all(len(batch.rewards) == 8 for batch in batches)
+    drawn = np.concatenate([batch.observations for batch in batches])
+    steps, times = np.unique(drawn, axis=0, return_counts=True)
+    assert len(steps) == len(data)
+    # 1600 draws of 19 steps: 84 each, give or take five deviations of nine.
+    assert 84 - 45 < times.min() <= times.max() < 84 + 45
+    assert any(len(np.unique(batch.observations, axis=0)) < 8 for batch in batches)
+    again, other = (next(transition_samples(data, 8, seed=seed)).observations for seed in (1, 2))
+    np.testing.assert_array_equal(batches[0].observations, again)
+    assert not np.array_equal(again, other)
+    for batch, same in zip(batches, transition_samples(pack(data), 8, seed=1), strict=False):
+        np.testing.assert_array_equal(batch.next_observations, same.next_observations)
+
+
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_packed_transitions_make_the_same_batches(dtype: type) -> None:
     data = synthetic(LENGTHS, truncated=[0, 1, 2, 3])
@@ -140,6 +159,7 @@ def test_packed_transitions_make_the_same_batches(dtype: type) -> None:
         # Nothing of the packed rows depends on the arrays any more.
         np.testing.assert_array_equal(getattr(packed[:], name), getattr(data, name))
         assert not np.shares_memory(packed.rows, getattr(data, name))
+    assert packed.rows.ctypes.data % 64 == packed.rows.itemsize % 64 == 0
     batches = zip(transition_batches(data, 8, seed=1), transition_batches(packed, 8, seed=1), strict=True)
     for batch, same in batches:
         for column, packed_column in zip(batch, same, strict=True):
@@ -188,6 +208,16 @@ def test_episode_batches_are_padded_to_their_longest() -> None:
     assert sorted(batch.mask.sum(axis=1).tolist()) == sorted(LENGTHS)
 
 
+@pytest.mark.parametrize("length", [1, 4, 7, 9])
+def test_episodes_are_the_windows_from_their_starts(length: int) -> None:
+    data = synthetic(LENGTHS, truncated=[0, 1, 2, 3])
+    drawn = np.array([3, 0, 2, 2])
+    by_windows = gather_windows(data, data.episode_starts[drawn], length)
+    for column, expected in zip(gather_episodes(data, drawn, length), by_windows, strict=True):
+        assert column.dtype == expected.dtype
+        np.testing.assert_array_equal(column, expected)
+
+
 def test_a_window_longer_than_every_episode_is_refused() -> None:
     with pytest.raises(DatasetError, match="no episode has 8 steps, the longest has 7"):
         window_starts(synthetic(LENGTHS), 8)
@@ -197,6 +227,8 @@ def test_a_window_longer_than_every_episode_is_refused() -> None:
 def test_empty_batches_and_windows_are_refused(size: int) -> None:
     with pytest.raises(DatasetError, match="a batch holds at least one"):
         transition_batches(synthetic([3]), size)
+    with pytest.raises(DatasetError, match="a batch holds at least one"):
+        transition_samples(synthetic([3]), size)
     with pytest.raises(DatasetError, match="a window has at least one step"):
         window_starts(synthetic([3]), size)
 
