@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from imujoco_minari.cli.app import run as run_command
+from imujoco_minari.cli.training import _report
 from imujoco_minari.errors import CatalogueError, PolicyError, PolicyNotFoundError, TrainingError
 from imujoco_minari.policies import expert_actor, expert_record, expert_variants, policies_folder
 from imujoco_minari.publishing import publish
@@ -33,7 +34,7 @@ from imujoco_minari.training.hyperparameters import FAR, SCRATCH, WARM, hyperpar
 from imujoco_minari.training.replay import record_replay
 from imujoco_minari.training.run import CONFIRMING_SEED, Run, Task
 from imujoco_minari.training.starts import START_SEED, best_start
-from imujoco_minari.training.sweep import Plan, train, train_all
+from imujoco_minari.training.sweep import Plan, Trained, train, train_all
 from imujoco_minari.variants import ROBOTS, Variant
 from imujoco_minari.verification import verify
 
@@ -324,6 +325,28 @@ def test_hyperparameters_are_layered_and_checked(robot: str) -> None:
     assert hyperparameters(robot, WARM, max_steps=7).max_steps == 7
     with pytest.raises(CatalogueError, match="unknown hyperparameter 'gama'"):
         hyperparameters(robot, WARM, gama=0.9)
+
+
+@pytest.mark.parametrize(
+    ("share", "start", "command"),
+    [
+        (0.49, "hopper-all", "imujoco train hopper-massdec_25_leggeom --scratch --improve"),
+        (0.49, "scratch", "imujoco train hopper-massdec_25_leggeom --improve --seed 1"),
+        (0.51, "hopper-all", ""),
+    ],
+)
+def test_a_weak_outcome_says_what_may_do_better(
+    share: float, start: str, command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record = dict(expert_record(LIGHT_LEG)) | {"start": start}
+    mean = share * expert_record(BASE)["evaluation"]["return_mean"]
+    record["evaluation"] = record["evaluation"] | {"return_mean": mean}
+    for outcome in (Trained(LIGHT_LEG, record, created=True), Trained(LIGHT_LEG, record, tried=record)):
+        _report(outcome, Plan(tmp_path), quiet=False)
+        printed = " ".join(capsys.readouterr().out.split())
+        assert (command in printed) if command else ("may find" not in printed)
+    _report(Trained("hopper-all", record, created=True), Plan(tmp_path), quiet=False)
+    assert "may find" not in capsys.readouterr().out
 
 
 def test_a_broken_record_is_named(home: Path) -> None:

@@ -92,7 +92,7 @@ def train_variants(
         with progress("training", len(chosen), quiet=as_json) as advance:
             for outcome in train_all(chosen, plan, jobs=jobs, backend=backend):
                 outcomes.append(outcome)
-                _report(outcome, as_json)
+                _report(outcome, plan, as_json)
                 advance()
     if as_json:
         print_json([vars(outcome) for outcome in outcomes])
@@ -142,11 +142,15 @@ def _train_one(variant: Variant, plan: Plan, quiet: bool) -> Trained:
     from imujoco_minari.training.sweep import train
 
     outcome = train(variant, plan, _teller(quiet))
-    _report(outcome, quiet)
+    _report(outcome, plan, quiet)
     return outcome
 
 
-def _report(outcome: Trained, quiet: bool) -> None:
+# An expert that has less than this share of its base's return may have met a dead end.
+_WEAK = 0.5
+
+
+def _report(outcome: Trained, plan: Plan, quiet: bool) -> None:
     if quiet or outcome.error:
         return
     if outcome.created:
@@ -155,6 +159,14 @@ def _report(outcome: Trained, quiet: bool) -> None:
         out.print(f"kept {outcome.variant}: {_made(outcome.record)}; not as good: {_made(outcome.tried)}")
     else:
         out.print(f"left alone {outcome.variant}: its expert is there already")
+    # A generalist is nobody's expert.
+    share = share_of_base(outcome.record, plan.policies) if isinstance(outcome.variant, Variant) else None
+    if share is not None and share < _WEAK:
+        again = "--improve --seed 1" if outcome.record["start"] == "scratch" else "--scratch --improve"
+        out.print(
+            f"  that is {share:.2f} of what the base's expert makes: "
+            f"`imujoco train {outcome.variant} {again}` may find what this run did not"
+        )
 
 
 def _made(record: dict[str, Any]) -> str:
