@@ -23,7 +23,8 @@ from benchmarks.subjects import UNTRAINED, actor_of, save_actor
 from imujoco_minari import content, roots
 from imujoco_minari.collection import collect
 from imujoco_minari.policies import Actor
-from imujoco_minari.publishing import Recipe, publish, publish_all
+from imujoco_minari.publishing import publish, publish_all
+from imujoco_minari.recipes import Recipe
 from imujoco_minari.registration import make
 from imujoco_minari.rollouts import episode_seed
 from imujoco_minari.sb3_export import export_zip
@@ -291,7 +292,8 @@ def _publishing_rate(robot: str, actor: Actor, episodes: int) -> float:
 _PUBLISH = """
 import sys
 from benchmarks.measuring import peak_memory
-from imujoco_minari.publishing import Recipe, publish_all
+from imujoco_minari.publishing import publish_all
+from imujoco_minari.recipes import Recipe
 from imujoco_minari.variants import catalogue
 recipes = [Recipe(variant, "random", 20) for variant in catalogue("halfcheetah")[:int(sys.argv[1])]]
 assert not any(outcome.error for outcome in publish_all(recipes, force=True))

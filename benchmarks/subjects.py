@@ -11,7 +11,8 @@ import numpy as np
 from imujoco_minari import roots
 from imujoco_minari.errors import PolicyNotFoundError
 from imujoco_minari.policies import SIZES, Actor, expert_actor, expert_record, read_actor
-from imujoco_minari.publishing import Recipe, publish
+from imujoco_minari.publishing import publish
+from imujoco_minari.recipes import Recipe
 from imujoco_minari.variants import Variant, bases, catalogue
 
 UNTRAINED = "untrained policy, so short episodes"

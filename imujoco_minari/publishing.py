@@ -7,9 +7,8 @@ whole and has been checked, and what is interrupted was never visible.
 from __future__ import annotations
 
 import platform
-import shutil
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
@@ -22,66 +21,18 @@ from gymnasium.envs.registration import EnvSpec
 from minari.data_collector import EpisodeBuffer
 from minari.dataset.minari_storage import MinariStorage
 
-from imujoco_minari import content, copying, roots
-from imujoco_minari.collection import collect
+from imujoco_minari import content, roots
 from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError, JobError
 from imujoco_minari.mjcf import canonical_mjcf, mjcf_sha256
 from imujoco_minari.parallel import run_jobs
-from imujoco_minari.policies import Policy
+from imujoco_minari.recipes import Recipe, algorithms, description
 from imujoco_minari.recording import EpisodeStorage
 from imujoco_minari.references import reference_scores
-from imujoco_minari.tiers import Part, parts
-from imujoco_minari.variants import EXPERT, Variant
+from imujoco_minari.shares import Progress, record_shares
+from imujoco_minari.tiers import Part
+from imujoco_minari.variants import Variant
 from imujoco_minari.verification import inspect
 from imujoco_minari.writing import writing
-
-Progress = Callable[[], None]
-
-
-@dataclass(frozen=True)
-class Recipe:
-    """All that decides the content of a dataset, beside the versions of the software.
-
-    Attributes:
-        variant: whose environment is stepped.
-        tier: which policy makes the data; part of the dataset's id.
-        episodes: how many.
-        seed: base seed of all that is random.
-        policy: a policy file to use instead of the shipped one.
-        stochastic: sample the actions instead of taking the policy's mode.
-    """
-
-    variant: Variant
-    tier: str = EXPERT
-    episodes: int = 100
-    seed: int = 0
-    policy: Path | None = None
-    stochastic: bool = False
-
-    def __post_init__(self) -> None:
-        if self.episodes < 1:
-            raise DatasetError(f"a dataset has at least one episode, not {self.episodes}")
-        if self.seed < 0:
-            raise DatasetError(f"a seed is not negative, as {self.seed} is")
-
-    @property
-    def dataset_id(self) -> str:
-        """The id under which the dataset is published."""
-        return self.variant.dataset_id(self.tier)
-
-    @property
-    def attributes(self) -> dict[str, Any]:
-        """What the dataset's root and each of its episodes carry."""
-        return content.attributes(self.variant, self.tier)
-
-    @property
-    def episode_attributes(self) -> dict[str, Any]:
-        """What each episode carries: whence it came too, which a collection of it then says."""
-        return self.attributes | {"source": self.dataset_id}
-
-    def parts(self) -> list[Part]:
-        """Return the policies that make the dataset, and how many episodes each."""
-        return parts(self.variant, self.tier, self.episodes, path=self.policy, stochastic=self.stochastic)
 
 
 @dataclass(frozen=True)
@@ -147,7 +98,7 @@ def publish(
         staged = folder / "dataset"
         staged.mkdir()
         data = staged / "data"
-        _roll_out(recipe, made_by, data, jobs, on_episode)
+        record_shares(recipe, made_by, data, jobs, on_episode)
         _complete(recipe, made_by, data)
         created = _commit(staged, recipe.dataset_id, force)
     return _summary(recipe.dataset_id, created=created, seconds=time.monotonic() - start)
@@ -249,71 +200,6 @@ def _attempt(recipe: Recipe, force: bool) -> Published:
         return Published(recipe.dataset_id, error=str(error))
 
 
-@dataclass(frozen=True)
-class _Share:
-    """Episodes of one part of a dataset that are recorded in one go, in a folder."""
-
-    part: Part
-    episodes: Sequence[int]
-    folder: Path
-
-
-def _roll_out(
-    recipe: Recipe, made_by: Sequence[Part], data: Path, jobs: int, on_episode: Progress | None
-) -> None:
-    """Record the recipe's episodes in ``data``, in shares that are joined in order."""
-    shares = list(_shares(made_by, data, jobs))
-    if jobs == 1:
-        for share in shares:
-            _record(recipe, share, on_episode)
-    else:
-        for number, outcome in run_jobs(partial(_record, recipe), shares, jobs=jobs):
-            if isinstance(outcome, JobError):
-                raise outcome
-            for _ in shares[number].episodes:
-                if on_episode is not None:
-                    on_episode()
-    _join([share.folder for share in shares], data)
-
-
-def _shares(made_by: Sequence[Part], data: Path, jobs: int) -> Iterator[_Share]:
-    """Divide the episodes: one share a part with one job, about four a job with several."""
-    first = number = 0
-    for part in made_by:
-        wanted = 1 if jobs == 1 else -(-4 * jobs // len(made_by))
-        for episodes in np.array_split(np.arange(part.episodes) + first, min(wanted, part.episodes)):
-            yield _Share(part, episodes.tolist(), data.with_name(f"share-{number}"))
-            number += 1
-        first += part.episodes
-
-
-def _record(recipe: Recipe, share: _Share, on_episode: Progress | None = None) -> None:
-    """Record a share, in the place of what a lost worker left in its folder."""
-    shutil.rmtree(share.folder, ignore_errors=True)
-    attributes = {**recipe.episode_attributes, **share.part.attributes}
-    collect(
-        recipe.variant, share.part.policy, share.episodes, recipe.seed, share.folder, attributes, on_episode
-    )
-
-
-def _join(folders: Sequence[Path], data: Path) -> None:
-    """Move the episodes of all folders, in order, behind those of the first, which becomes ``data``."""
-    first, *others = folders
-    if not others:
-        first.rename(data)
-        return
-    storage = MinariStorage.read(first)
-    steps = storage.total_steps
-    with writing(content.main_file(first)) as target:
-        for other in others:
-            with h5py.File(content.main_file(other), "r") as source:
-                steps += copying.copy_episodes(source, range(len(source)), target, "").steps
-            shutil.rmtree(other)
-        episodes = len(target)
-    storage.update_metadata({"total_episodes": episodes, "total_steps": steps})
-    first.rename(data)
-
-
 def _complete(recipe: Recipe, made_by: Sequence[Part], data: Path) -> None:
     """Add what the collector did not record: the root's attributes and digests, and the metadata."""
     policies = [part.policy for part in made_by]
@@ -324,10 +210,10 @@ def _complete(recipe: Recipe, made_by: Sequence[Part], data: Path) -> None:
         | {
             "dataset_id": recipe.dataset_id,
             "minari_version": version("minari"),
-            "algorithm_name": _algorithms(policies),
+            "algorithm_name": algorithms(policies),
             "author": {"imujoco_minari"},
             "code_permalink": f"imujoco-minari=={version('imujoco-minari')}",
-            "description": _description(recipe, policies),
+            "description": description(recipe, policies),
             "requirements": [f"{name}=={version(name)}" for name in ("mujoco", "gymnasium")],
             "policy_sha256": ",".join(policy.sha256 for policy in policies),
             "policy_deterministic": all(policy.deterministic for policy in policies),
@@ -352,26 +238,6 @@ def _seal(storage: MinariStorage, attributes: Mapping[str, Any], mjcf: str) -> d
         }
         file.attrs.update({**attributes, "mjcf": mjcf, **digests})
     return {**attributes, **digests}
-
-
-def _algorithms(policies: Sequence[Policy]) -> str:
-    return ", ".join(dict.fromkeys(policy.algorithm for policy in policies))
-
-
-def _description(recipe: Recipe, policies: Sequence[Policy]) -> str:
-    variant = recipe.variant
-    change = (
-        "unchanged"
-        if not variant.body
-        else f"with the {variant.category} of {', '.join(variant.mjcf_names)} "
-        f"changed by {variant.percent:+d} %"
-    )
-    return (
-        f"iMuJoCo, rebuilt: the robot {variant.robot} of Gymnasium's v5 environments, {change}. "
-        f"{recipe.episodes} episodes of the tier {recipe.tier}, by {len(policies)} "
-        f"{'policy' if len(policies) == 1 else 'policies'} ({_algorithms(policies)}) acting "
-        f"{'deterministically' if all(policy.deterministic for policy in policies) else 'stochastically'}."
-    )
 
 
 def _summary(dataset_id: str, *, created: bool, seconds: float = 0.0) -> Published:

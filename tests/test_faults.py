@@ -146,7 +146,7 @@ def test_the_same_disk_in_order_gives_no_error() -> None:
     assert listed() == {ID: "new"}
 
 
-@pytest.mark.parametrize("step", ["_roll_out", "_complete", "inspect"])
+@pytest.mark.parametrize("step", ["record_shares", "_complete", "inspect"])
 def test_a_full_disk_while_publishing(step: str, root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fill(*args: Any, **kwargs: Any) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

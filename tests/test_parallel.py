@@ -17,7 +17,8 @@ from processes import alive, running
 from imujoco_minari import content, roots
 from imujoco_minari.errors import DatasetError, DependencyError, JobError
 from imujoco_minari.parallel import ATTEMPTS, run_jobs
-from imujoco_minari.publishing import Recipe, publish, publish_all
+from imujoco_minari.publishing import publish, publish_all
+from imujoco_minari.recipes import Recipe
 from imujoco_minari.variants import Variant
 from imujoco_minari.verification import verify
 

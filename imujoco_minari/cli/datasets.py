@@ -23,7 +23,8 @@ from imujoco_minari.errors import DatasetNotFoundError, VariantError
 from imujoco_minari.variants import EXPERT, Variant, bases, catalogue
 
 if TYPE_CHECKING:
-    from imujoco_minari.publishing import Published, Recipe
+    from imujoco_minari.publishing import Published
+    from imujoco_minari.recipes import Recipe
 
 Jobs = Annotated[int, typer.Option("--jobs", "-j", min=1, help="How many processes.")]
 Backend = Annotated[
@@ -59,7 +60,7 @@ def publish_datasets(
     `imujoco publish --robot hopper --jobs 2`,
     `imujoco publish walker2d-base --tier mine --policy sac.zip`
     """
-    from imujoco_minari.publishing import Recipe
+    from imujoco_minari.recipes import Recipe
 
     chosen = select(variants or [], robot, category, everything)
     recipes = [Recipe(variant, tier, episodes, seed, policy, stochastic) for variant in chosen]
