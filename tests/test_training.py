@@ -121,6 +121,7 @@ def test_a_variant_is_trained_from_its_base_and_published(tmp_path: Path, unship
     assert expert_actor(BASE).sha256 == expert_record(BASE)["weights_sha256"]
     if improved.created:
         assert improved.record["before"]["weights_sha256"] == outcomes[0].record["weights_sha256"]
+        assert improved.record["before"]["evaluation"] == outcomes[0].record["evaluation"]
         assert improved.record["start_sha256"] == outcomes[0].record["weights_sha256"]
     rungs = [[rung["steps"] for rung in r["ladder"]] for r in (outcomes[0].record, expert_record(BASE))]
     assert rungs[0] == rungs[1]

@@ -199,7 +199,17 @@ def install(folder: Path, record: dict[str, Any], policies: Path | None) -> dict
 
 
 # What a record says of the policy that its own improves on.
-_HISTORY = ("start", "steps", "steps_trained", "updates", "wall_seconds", "weights_sha256", "before")
+_HISTORY = (
+    "start",
+    "seed",
+    "steps",
+    "steps_trained",
+    "updates",
+    "wall_seconds",
+    "weights_sha256",
+    "evaluation",
+    "before",
+)
 
 
 def _score(record: Mapping[str, Any]) -> float:
