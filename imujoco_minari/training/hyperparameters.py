@@ -35,7 +35,7 @@ class Hyperparameters:
         settling_rate: the learning rate of the last steps.
         settling_steps: how many those are.
         stones: milder variants that the run first trains in, one after the other (stepping stones).
-        approach_steps: steps that those take together.
+        approach_share: share of the run's steps that those take together.
         gamma: discount factor.
         exploration_steps: steps before the first update, random or of the loaded policy.
         evaluate_every: steps between two evaluations, which are also the checkpoints.
@@ -56,7 +56,7 @@ class Hyperparameters:
     settling_rate: float
     settling_steps: int
     stones: int
-    approach_steps: int
+    approach_share: float
     gamma: float
     exploration_steps: int
     evaluate_every: int

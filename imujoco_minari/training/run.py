@@ -76,8 +76,8 @@ class Task:
         """Return the variant of the path to train in after so many steps; None when there is no path."""
         if not self.path:
             return None
-        stones = len(self.path) - 1
-        return self.path[min(stones, stones * steps // self.settings.approach_steps)]
+        stones, approach = len(self.path) - 1, round(self.settings.approach_share * self.settings.max_steps)
+        return self.path[min(stones, stones * steps // max(1, approach))]
 
     def environment(self, among: tuple[Variant, ...] = ()) -> gym.Env[Any, Any]:
         """Make the environment of the variant, or of several."""
