@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 
 
-# Batches that are gathered at once: a call of NumPy costs as much as the rows of a small batch.
-_AHEAD = 16
+# Rows that are gathered at once, whatever the batches: a call of NumPy costs as much as those of a small one.
+_AHEAD = 8192
 
 
 class Windows(NamedTuple):
@@ -214,7 +214,7 @@ def transition_batches(data: Arrays | Packed, batch_size: int, *, seed: int = 0)
     """
     # Half the bytes of an index take half the time to shuffle.
     rows = np.arange(len(data), dtype=np.min_scalar_type(-len(data)))
-    ahead = _batches(rows, batch_size, seed, at_once=_AHEAD)
+    ahead = _batches(rows, batch_size, seed, at_once=_batches_ahead(batch_size))
     return (batch for rows in ahead for batch in _split(gather_transitions(data, rows), batch_size))
 
 
@@ -223,8 +223,7 @@ def transition_samples(data: Arrays | Packed, batch_size: int, *, seed: int = 0)
 
     Packed data (:func:`~imujoco_minari.transitions.pack`) gives the same batches in half the time.
     """
-    _check_size(batch_size)
-    rng, size = np.random.default_rng(seed), batch_size * _AHEAD
+    rng, size = np.random.default_rng(seed), batch_size * _batches_ahead(batch_size)
     ahead = (rng.integers(len(data), size=size) for _ in count())
     return (batch for rows in ahead for batch in _split(gather_transitions(data, rows), batch_size))
 
@@ -248,6 +247,11 @@ def _batches(items: Array, batch_size: int, seed: int, at_once: int = 1) -> Iter
     order = np.random.default_rng(seed).permutation(items)
     size = batch_size * at_once
     return (order[start : start + size] for start in range(0, len(order), size))
+
+
+def _batches_ahead(batch_size: int) -> int:
+    _check_size(batch_size)
+    return max(1, _AHEAD // batch_size)
 
 
 def _check_size(batch_size: int) -> None:
