@@ -60,6 +60,7 @@ EXPORT = (*CLI, "export", A, B, "-f")
 
 def datasets(place: Path) -> dict[str, str]:
     """Return what stock Minari lists, each checked to be whole and sound, with its digest."""
+    os.environ["MINARI_DATASETS_PATH"] = str(place / "root")
     return visible(place / "root")
 
 
