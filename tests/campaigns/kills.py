@@ -42,7 +42,8 @@ from imujoco_minari.cli import main
 from imujoco_minari.training import hyperparameters
 table = hyperparameters._table()
 table["scratch"] |= dict(exploration_steps=1000, evaluate_every=1000, max_steps=4000, batch_size=16,
-                         ranking_episodes=2, choosing_episodes=2, confirming_episodes=4)
+                         ranking_episodes=2, choosing_episodes=2, deciding_episodes=3,
+                         confirming_episodes=4)
 sys.argv = ["imujoco", "train", "hopper-massinc_37_torsogeom", "--scratch", "--state", "state"]
 main()
 """
