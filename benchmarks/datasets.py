@@ -166,10 +166,6 @@ def _transitions_row(data: Arrays, ids: list[str], rounds: int) -> Row:
     packed = pack(data)
     stream, columns = transition_samples(packed, 256), transition_samples(data, 256)
 
-    def ours() -> None:
-        for _ in range(batches):
-            next(stream)
-
     def indexing() -> None:
         for _ in range(batches):
             rows = rng.integers(len(data), size=256)
@@ -190,6 +186,7 @@ def _transitions_row(data: Arrays, ids: list[str], rounds: int) -> Row:
 
         return run
 
+    ours = {OURS: sampling(partial(next, stream)), "not packed": sampling(partial(next, columns))}
     # The slow ones do a twentieth of the work, which is then counted twenty times.
     slow = {"minari": minari_sampling}
     peers = {"SB3's buffer": sampling(partial(_sb3_buffer(data).sample, 256))}
@@ -202,12 +199,7 @@ def _transitions_row(data: Arrays, ids: list[str], rounds: int) -> Row:
         slow["d3rlpy"] = sampling(partial(to_d3rlpy(data).sample_transition_batch, 256), 20)
     else:
         missing.append("d3rlpy")
-
-    def unpacked() -> None:
-        for _ in range(batches):
-            next(columns)
-
-    seconds = take_turns({OURS: ours, "not packed": unpacked, **peers, **slow, LIMIT: indexing}, rounds)
+    seconds = take_turns({**ours, **peers, **slow, LIMIT: indexing}, rounds)
     for name in slow:
         seconds[name] = [value * 20 for value in seconds[name]]
     best = min({**peers, **slow}, key=lambda name: ratio(seconds[name], seconds[OURS]))

@@ -24,16 +24,21 @@ if TYPE_CHECKING:
 
 Array = NDArray[Any]
 
+
+class Transitions(NamedTuple):
+    """B steps: each array as in :class:`Arrays`, (B, ...)."""
+
+    observations: Array
+    actions: Array
+    rewards: Array
+    next_observations: Array
+    terminations: Array
+    truncations: Array
+    variant_index: Array
+
+
 # One array a row of steps each; the other fields of Arrays are about episodes.
-STEP_ARRAYS = (
-    "observations",
-    "actions",
-    "rewards",
-    "next_observations",
-    "terminations",
-    "truncations",
-    "variant_index",
-)
+STEP_ARRAYS = Transitions._fields
 _CACHED = (*STEP_ARRAYS, "episode_starts")
 # Rows that are worked on at once, where a temporary copy is needed.
 _BLOCK = 4096

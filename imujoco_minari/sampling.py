@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from imujoco_minari.arrays import Arrays, arrays
+from imujoco_minari.arrays import Arrays, Transitions, arrays
 from imujoco_minari.errors import DatasetError, VariantError, suggestion
-from imujoco_minari.transitions import Packed, Transitions, gather_transitions, take
+from imujoco_minari.transitions import Packed, gather_transitions, take
 
 if TYPE_CHECKING:
     from imujoco_minari.selection import Datasets

@@ -21,7 +21,7 @@ Batch = dict[str, torch.Tensor]
 
 
 class TransitionDataset(Dataset[Batch]):
-    """Steps, each a dict of the tensors of :class:`~imujoco_minari.transitions.Transitions`.
+    """Steps, each a dict of the tensors of :class:`~imujoco_minari.arrays.Transitions`.
 
     Args:
         data: the arrays, or what :func:`~imujoco_minari.transitions.pack` made of them.

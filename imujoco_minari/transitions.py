@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imujoco_minari.arrays import Arrays
+from imujoco_minari.arrays import Arrays, Transitions
 
 Array = NDArray[Any]
 
@@ -17,18 +17,6 @@ Array = NDArray[Any]
 _BLOCK = 4096
 # Bytes that memory comes in. A row that begins with one touches fewer: an eighth less time.
 _LINE = 64
-
-
-class Transitions(NamedTuple):
-    """B steps: each array as in :class:`~imujoco_minari.arrays.Arrays`, (B, ...)."""
-
-    observations: Array
-    actions: Array
-    rewards: Array
-    next_observations: Array
-    terminations: Array
-    truncations: Array
-    variant_index: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +27,8 @@ class Packed:
     rows, once.
 
     Attributes:
-        rows: (N,) structured; a transition each, with the fields of :class:`Transitions`.
+        rows: (N,) structured; a transition each, with the fields of
+            :class:`~imujoco_minari.arrays.Transitions`.
     """
 
     rows: Array
