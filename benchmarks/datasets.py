@@ -31,35 +31,35 @@ def combining_row(ids: list[str], rounds: int) -> Row:
     loaded = [minari.load_dataset(dataset_id) for dataset_id in ids]
     files = [content.main_file(dataset.storage.data_path) for dataset in loaded]
     episodes = sum(dataset.total_episodes for dataset in loaded)
-    scratch = roots.datasets_root() / "bench" / "copied.bin"
+    folder = roots.datasets_root() / "combined"
 
-    def stock() -> None:
-        if roots.exists("bench/stock-v0"):
-            shutil.rmtree(roots.dataset_folder("bench/stock-v0"))
-        minari.combine_datasets(loaded, "bench/stock-v0")
-
-    def copy() -> None:
-        with scratch.open("wb") as target:
+    def copy(*, force: bool = True) -> None:
+        with (folder / "copied.bin").open("wb") as target:
             for file in files:
                 with file.open("rb") as source:
                     shutil.copyfileobj(source, target, 2**20)
-            # What is combined is forced to the disk too.
-            target.flush()
-            os.fsync(target.fileno())
+            if force:
+                # What is combined is forced to the disk too.
+                target.flush()
+                os.fsync(target.fileno())
 
-    def combine(link: bool) -> Callable[[], Any]:
-        new = f"bench/{'linked' if link else 'copied'}-v0"
+    def clear() -> None:
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+        # What another has left to write would be forced to the disk with ours, and a virtual machine is
+        # given memory when it is first written to: three times as much time as the copying takes.
+        os.sync()
+        copy(force=False)
+        (folder / "copied.bin").unlink()
 
-        def run() -> None:
-            if roots.exists(new):
-                shutil.rmtree(roots.dataset_folder(new))
-            combine_datasets(ids, new, link=link)
-
-        return run
-
-    seconds = take_turns({OURS: combine(False), "link": combine(True), STOCK: stock, LIMIT: copy}, rounds)
-    shutil.rmtree(roots.dataset_folder("bench/stock-v0"))
-    scratch.unlink()
+    contenders = {
+        OURS: partial(combine_datasets, ids, "combined/copied-v0"),
+        "link": partial(combine_datasets, ids, "combined/linked-v0", link=True),
+        STOCK: partial(minari.combine_datasets, loaded, "combined/stock-v0"),
+        LIMIT: copy,
+    }
+    seconds = take_turns(contenders, rounds, before=clear)
+    clear()
     return Row(
         f"combine {len(ids)} datasets of {episodes // len(ids)} episodes",
         times(seconds),

@@ -48,7 +48,11 @@ class Row:
 
 
 def take_turns(
-    contenders: Mapping[str, Callable[[], Any]], rounds: int, *, processes: bool = False
+    contenders: Mapping[str, Callable[[], Any]],
+    rounds: int,
+    *,
+    processes: bool = False,
+    before: Callable[[], Any] | None = None,
 ) -> dict[str, list[float]]:
     """Run each contender once a round and return the seconds that each took in each round.
 
@@ -56,6 +60,7 @@ def take_turns(
         contenders: name to what is run.
         rounds: how many.
         processes: whether contenders work in other processes too; wall time alone counts then.
+        before: what is done before each turn, and not counted.
     """
     clock = time.perf_counter if processes else CLOCK
     seconds: dict[str, list[float]] = {name: [] for name in contenders}
@@ -63,6 +68,8 @@ def take_turns(
     for number in range(rounds):
         # Not always in the same order: who comes second may find a warm cache, or a hot processor.
         for name in names if number % 2 == 0 else reversed(names):
+            if before is not None:
+                before()
             gc.collect()
             start = clock()
             contenders[name]()

@@ -1,19 +1,19 @@
 """Collections: many datasets of one robot as one Minari dataset.
 
 Stock ``minari.combine_datasets`` refuses datasets whose environments differ, as variants' do, and drops
-seeds and episode attributes. Here HDF5 groups are copied as they are, or linked to, so that every
-attribute stays, and no array is decoded.
+seeds and episode attributes. Here episodes are copied as they are, or linked to, so that every attribute
+stays, and no array is decoded: as bytes where all files are whole and as this package writes them, by HDF5
+where not.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
-from itertools import chain
 from os.path import relpath
 from pathlib import Path
 from typing import Any
@@ -33,6 +33,7 @@ from imujoco_minari.importing.original import (
     models_of,
     originals_spec,
 )
+from imujoco_minari.joining import Joiner, NotPlainError
 from imujoco_minari.registration import collection_spec, environment_spec
 from imujoco_minari.variants import EXPERT, NAMESPACE, Variant, catalogue
 from imujoco_minari.verification.identity import read_metadata
@@ -54,12 +55,30 @@ class _Source:
     env_spec: EnvSpec | None
     content_sha256: str | None
 
-    def check(self, file: h5py.File) -> None:
-        """Raise a DatasetError when ``file`` is not the one that the metadata is of."""
-        if file.attrs.get("content_sha256") != self.content_sha256:
+    def attributes(self, said: Mapping[str, Any]) -> list[dict[str, Any]]:
+        """Return what identifies each episode, given what the file says of itself.
+
+        Raises:
+            DatasetError: when the file is not the one that the metadata is of.
+        """
+        if said.get("content_sha256") != self.content_sha256:
             raise DatasetError(
                 f"{self.dataset_id} was replaced while it was read, or is damaged: nothing was combined"
             )
+        if all(key in said for key in _COMMON):
+            return [{key: said[key] for key in _COMMON}] * len(self.episodes)
+        with h5py.File(self.file, "r") as file:
+            return copying.episode_attributes(file, self.episodes, _COMMON)
+
+
+@dataclass(frozen=True)
+class _Written:
+    """What was written: what identifies each episode, their steps, what the file says, and its digest."""
+
+    attributes: list[dict[str, Any]]
+    steps: int
+    said: dict[str, Any]
+    sha256: str | None = None
 
 
 def combine_datasets(
@@ -96,16 +115,22 @@ def combine_datasets(
     with roots.staging(new_dataset_id) as staging_folder, _beside() as threads:
         staged = staging_folder / "dataset"
         staged.mkdir()
+        data = staged / "data"
         with _damage_named():
-            attributes = (
-                _write(sources, staged / "data", folder / "data")
-                if link
-                else _write(_screened(sources, threads), staged / "data")
+            storage = MinariStorage.new(
+                data,
+                observation_space=sources[0].storage.observation_space,
+                action_space=sources[0].storage.action_space,
             )
+            if link:
+                written = _link(sources, data, folder / "data")
+            else:
+                written = _join(sources, data) or _copy(sources, data, threads)
+        storage.update_metadata({"total_episodes": len(written.attributes), "total_steps": written.steps})
         # The bytes go to the disk while their digest is taken.
-        on_disk = threads.submit(roots.sync_file, content.main_file(staged / "data"))
-        _describe(sources, staged / "data", new_dataset_id, attributes)
-        content.seal_files(staged / "data")
+        on_disk = threads.submit(roots.sync_file, content.main_file(data))
+        _describe(sources, data, new_dataset_id, written)
+        content.seal_files(data, written.sha256)
         on_disk.result()
         roots.commit(staged, new_dataset_id, replace=force)
     with roots.failures_named():
@@ -221,34 +246,59 @@ def _screen(source: _Source) -> None:
         raise DatasetError(f"{source.dataset_id} cannot be combined: {finding}")
 
 
-def _write(sources: Iterable[_Source], data: Path, linked_from: Path | None = None) -> list[dict[str, Any]]:
-    """Write the episodes into a new storage and return the identifying attributes of each."""
-    sources = iter(sources)
-    first = next(sources)
-    storage = MinariStorage.new(
-        data,
-        observation_space=first.storage.observation_space,
-        action_space=first.storage.action_space,
-    )
+def _join(sources: Sequence[_Source], data: Path) -> _Written | None:
+    """Write the episodes as bytes, or return None where one of the sources asks for HDF5."""
+    if any(source.episodes != list(range(len(source.episodes))) for source in sources):
+        return None
+    attributes: list[dict[str, Any]] = []
+    steps, digests = 0, list[str]()
+    sizes = [source.file.stat().st_size for source in sources]
+    episodes = sum(len(source.episodes) for source in sources)
+    try:
+        with Joiner(content.main_file(data), sizes, episodes) as joiner:
+            for source in sources:
+                layout = joiner.add(source.file)
+                if layout.episodes.size != len(source.episodes):
+                    return None
+                attributes += source.attributes(layout.attributes)
+                steps += layout.steps
+                digests += layout.digests
+            said = _common(attributes) | {"content_sha256": content.dataset_sha256(digests)}
+            sha256 = joiner.finish(said)
+    except NotPlainError:
+        return None
+    return _Written(attributes, steps, said, sha256)
+
+
+def _copy(sources: Sequence[_Source], data: Path, threads: ThreadPoolExecutor) -> _Written:
+    """Copy the episodes by HDF5."""
     attributes: list[dict[str, Any]] = []
     steps, digests = 0, list[str]()
     with writing(content.main_file(data), new=True) as target:
-        for source in chain([first], sources):
+        for source in _screened(sources, threads):
             with h5py.File(source.file, "r") as file:
-                source.check(file)
-                attributes += copying.shared_attributes(file, source.episodes, _COMMON)
-                if linked_from is None:
-                    copied = copying.copy_episodes(file, source.episodes, target, source.dataset_id)
-                    steps += copied.steps
-                    digests += copied.digests
-                else:
-                    path = relpath(source.file, linked_from)
-                    copying.link_episodes(file, source.episodes, target, path)
-                    steps += _steps(source, file)
-        if linked_from is None:
-            target.attrs["content_sha256"] = content.dataset_sha256(digests)
-    storage.update_metadata({"total_episodes": len(attributes), "total_steps": steps})
-    return attributes
+                attributes += source.attributes(file.attrs)
+                copied = copying.copy_episodes(file, source.episodes, target, source.dataset_id)
+                steps += copied.steps
+                digests += copied.digests
+        said = _common(attributes) | {"content_sha256": content.dataset_sha256(digests)}
+        target.attrs.update(said)
+    return _Written(attributes, steps, said)
+
+
+def _link(sources: Sequence[_Source], data: Path, linked_from: Path) -> _Written:
+    """Write links to the episodes, for a file that will lie in ``linked_from``."""
+    attributes: list[dict[str, Any]] = []
+    steps = 0
+    with writing(content.main_file(data), new=True) as target:
+        for source in sources:
+            with h5py.File(source.file, "r") as file:
+                attributes += source.attributes(file.attrs)
+                copying.link_episodes(file, source.episodes, target, relpath(source.file, linked_from))
+                steps += _steps(source, file)
+        said = _common(attributes)
+        target.attrs.update(said)
+    return _Written(attributes, steps, said)
 
 
 def _steps(source: _Source, file: h5py.File) -> int:
@@ -259,15 +309,19 @@ def _steps(source: _Source, file: h5py.File) -> int:
     return sum(int(file[f"episode_{number}"].attrs["total_steps"]) for number in source.episodes)
 
 
-def _describe(
-    sources: Sequence[_Source], data: Path, dataset_id: str, attributes: list[dict[str, Any]]
-) -> None:
-    """Write the collection's metadata, and the attributes that all its episodes share."""
-    common = {
-        key: attributes[0][key]
+def _common(attributes: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return what all the episodes say alike of what they are of."""
+    first = attributes[0]
+    return {
+        key: first[key]
         for key in _COMMON
-        if key in attributes[0] and all(attrs.get(key) == attributes[0][key] for attrs in attributes)
+        if key in first and all(attrs is first or attrs.get(key) == first[key] for attrs in attributes)
     }
+
+
+def _describe(sources: Sequence[_Source], data: Path, dataset_id: str, written: _Written) -> None:
+    """Write the collection's metadata."""
+    attributes = written.attributes
     spec = _env_spec(sources, dataset_id, attributes)
     metadata = {
         "dataset_id": dataset_id,
@@ -282,14 +336,10 @@ def _describe(
         **({CATALOGUE: ORIGINAL} if is_original(sources[0].storage.metadata) else {}),
         "requirements": sorted({str(r) for s in sources for r in s.storage.metadata.get("requirements", [])}),
     }
-    with writing(content.main_file(data)) as file:
-        file.attrs.update(common)
-        if "content_sha256" in file.attrs:
-            metadata["content_sha256"] = file.attrs["content_sha256"]
     storage = MinariStorage.read(data)
     if spec is not None:
         metadata["env_spec"] = spec.to_json()
-    storage.update_metadata(metadata | {key: _plain(value) for key, value in common.items()})
+    storage.update_metadata(metadata | {key: _plain(value) for key, value in written.said.items()})
     storage.update_metadata({"dataset_size": storage.get_size()})
 
 

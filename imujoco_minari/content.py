@@ -85,11 +85,16 @@ def dataset_sha256(digests: Iterable[str]) -> str:
     return hashlib.sha256("".join(f"{digest}\n" for digest in digests).encode()).hexdigest()
 
 
-def seal_files(data: Path) -> None:
-    """Write into ``metadata.json`` the digests of both files, the last act before a dataset is committed."""
+def seal_files(data: Path, sha256: str | None = None) -> None:
+    """Write into ``metadata.json`` the digests of both files, the last act before a dataset is committed.
+
+    Args:
+        data: the folder of the dataset's storage.
+        sha256: digest of the HDF5 file, where it was taken as the file was written.
+    """
     path = data / "metadata.json"
     metadata = json.loads(path.read_text("utf-8"))
-    metadata[FILE_DIGEST] = file_sha256(main_file(data))
+    metadata[FILE_DIGEST] = sha256 or file_sha256(main_file(data))
     metadata[METADATA_DIGEST] = metadata_sha256(metadata)
     path.write_text(json.dumps(metadata), "utf-8")
 

@@ -70,9 +70,7 @@ def link_episodes(source: h5py.File, episodes: Sequence[int], target: h5py.File,
         links.create_external(b"episode_%d" % place, where, name)
 
 
-def shared_attributes(file: h5py.File, episodes: Sequence[int], keys: Sequence[str]) -> list[dict[str, Any]]:
-    """Return what each of the episodes says under ``keys``, from the root where that speaks for all."""
-    if all(key in file.attrs for key in keys):
-        return [{key: file.attrs[key] for key in keys}] * len(episodes)
+def episode_attributes(file: h5py.File, episodes: Sequence[int], keys: Sequence[str]) -> list[dict[str, Any]]:
+    """Return what each of the episodes says under those of the keys that it has."""
     groups = (file[f"episode_{number}"].attrs for number in episodes)
     return [{key: attrs[key] for key in keys if key in attrs} for attrs in groups]

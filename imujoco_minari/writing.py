@@ -60,7 +60,7 @@ _UNDISTURBED_FILE = weakref.__file__
 
 
 @contextmanager
-def _polite_interrupts() -> Iterator[None]:
+def polite_interrupts() -> Iterator[None]:
     """Handle an interrupt at once, or, where its exception would pass through HDF5, a moment later."""
     handler = signal.getsignal(signal.SIGINT)
     # Only the main thread may set a handler, and only where there is one does an exception come of it.
@@ -100,9 +100,10 @@ def writing(path: Path, *, new: bool = False) -> Iterator[h5py.File]:
         OSError: when something could not be written, at the latest when the file is closed.
     """
     new = new or path.stat().st_size == 0
-    with _polite_interrupts(), _QuietFile(path, "w+" if new else "r+") as raw:
+    with polite_interrupts(), _QuietFile(path, "w+" if new else "r+") as raw:
         try:
-            with h5py.File(raw, "w" if new else "r+", track_order=True) as file:
+            # In the oldest version of the format that holds it, of which joining knows each byte.
+            with h5py.File(raw, "w" if new else "r+", libver=("earliest", "latest")) as file:
                 yield file
         except Exception:
             # What was not written cannot be read back, and HDF5 may have stumbled over that.

@@ -1,7 +1,8 @@
 """The damage campaign: thousands of broken HDF5 files, each read by `inspect` in a process of its own.
 
 Run by scripts/test-fuzz. Counts what becomes of them: found by what check, and whether reading killed
-the process, which `verify` meets by reading in a child process first.
+the process, which `verify` meets by reading in a child process first. Each is also joined, as `combine` does,
+in the same process: what is not refused HDF5 must read to the end.
 """
 
 from __future__ import annotations
@@ -16,10 +17,14 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
+
+import h5py
 
 from imujoco_minari import content
 from imujoco_minari.combining import combine_datasets
+from imujoco_minari.joining import Joiner, NotPlainError
 from imujoco_minari.publishing import publish
 from imujoco_minari.verification import inspect
 
@@ -52,6 +57,12 @@ def move(raw: bytearray, rng: random.Random) -> None:
     raw[target : target + size] = raw[source : source + size]
 
 
+def aim(raw: bytearray, rng: random.Random) -> None:
+    # At something that is there: most eight bytes of structure are addresses or sizes.
+    place, target = rng.randrange(len(raw) // 8) * 8, rng.randrange(len(raw) // 8) * 8
+    raw[place : place + 8] = target.to_bytes(8, "little")
+
+
 def cut(raw: bytearray, rng: random.Random) -> None:
     del raw[rng.randrange(len(raw)) :]
 
@@ -61,11 +72,34 @@ def insert(raw: bytearray, rng: random.Random) -> None:
     raw[place:place] = rng.randbytes(rng.choice((1, 8, 100)))
 
 
-KINDS = {f.__name__: f for f in (flip, flips, extreme, zero, move, cut, insert)}
+KINDS = {f.__name__: f for f in (flip, flips, extreme, zero, move, aim, cut, insert)}
 
 
-def trial(data: Path) -> tuple[str, list[str]]:
-    """Inspect a dataset in a forked process; return how that ended and what was found."""
+def joined(data: Path) -> list[str]:
+    """Join a dataset's file, read what came of it by HDF5, and return whether it was refused."""
+    source, target = content.main_file(data), data / "joined.hdf5"
+    try:
+        with Joiner(target, [source.stat().st_size], 2) as joiner:
+            joiner.add(source)
+            joiner.finish({})
+    except NotPlainError:
+        return ["refused"]
+    with h5py.File(target, "r") as file:
+        dict(file.attrs)
+        for group in file.values():
+            dict(group.attrs)
+            for _, array in content.arrays(group):
+                dict(array.attrs), array[()]
+    return ["joined"]
+
+
+def inspected(data: Path) -> list[str]:
+    """Return what `inspect` finds."""
+    return [str(finding) for finding in inspect(data, replay_episodes=0)]
+
+
+def trial(data: Path, work: Callable[[Path], list[str]]) -> tuple[str, list[str]]:
+    """Do something to a dataset in a forked process; return how that ended and what was found."""
     receiver, sender = os.pipe()
     pid = os.fork()
     if pid == 0:
@@ -76,7 +110,7 @@ def trial(data: Path) -> tuple[str, list[str]]:
         status = 4
         try:
             os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-            found = [str(finding) for finding in inspect(data, replay_episodes=0)]
+            found = work(data)
             os.write(sender, json.dumps(found).encode()[:60_000])
             status = 0
         except BaseException as error:
@@ -105,7 +139,7 @@ def main() -> None:
     rng = random.Random(options.seed)
     ends: Counter[str] = Counter()
     quiet: Counter[str] = Counter()
-    failures = []
+    failures, trials = [], 0
     with tempfile.TemporaryDirectory() as folder:
         os.environ["MINARI_DATASETS_PATH"] = folder
         source = publish("hopper-base", tier="random", episodes=2)
@@ -123,18 +157,24 @@ def main() -> None:
             if raw == sound[place]:
                 continue
             content.main_file(place).write_bytes(raw)
-            end, found = trial(place)
+            trials += 1
+            if place == places[0]:
+                end, found = trial(place, joined)
+                ends[f"{kind}: {found[0] if end == 'survived' else end}"] += 1
+                if end != "survived":
+                    failures.append(f"joining after {kind}: {end} {found}")
+            end, found = trial(place, inspected)
             ends[f"{kind}: {end}"] += 1
             if end == "survived" and len(found) == 1 and "has changed since it was published" in found[0]:
                 # No other check sees a difference: unused space, or what the library overlooks.
                 quiet[kind] += 1
             if options.keep and end.startswith("SIG"):
                 options.keep.mkdir(exist_ok=True)
-                (options.keep / f"{end}-{sum(ends.values())}.hdf5").write_bytes(raw)
+                (options.keep / f"{end}-{trials}.hdf5").write_bytes(raw)
             if end == "raised" or (end == "survived" and not found):
                 failures.append(f"{kind}: {found}")
             content.main_file(place).write_bytes(sound[place])
-    print(f"{sum(ends.values())} damaged files")
+    print(f"{trials} damaged files")
     print("  ".join(f"{key} {value}" for key, value in sorted(ends.items())))
     print("found by the file's digest alone:", dict(quiet))
     for failure in failures[:20]:
