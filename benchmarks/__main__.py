@@ -85,7 +85,7 @@ def _run(wanted: set[str], options: argparse.Namespace) -> list:
             policy = save_actor(actor, Path(folder) / "actor.safetensors")
             ids = publish_copies(Variant.parse("halfcheetah-base"), policy, int(100 * scale), 20)
         if "combine" in wanted:
-            done(datasets.combining_row(ids, max(1, rounds // 2)))
+            done(datasets.combining_row(ids, rounds))
         if "load" in wanted:
             done(*datasets.loading_rows(ids, rounds))
         if "sample" in wanted:

@@ -39,8 +39,8 @@ def stored(data):
     """Return the episodes of a storage as attributes and arrays, as h5py reads them."""
     with h5py.File(content.main_file(data), "r") as file:
         return {
-            name: (dict(group.attrs), {key: array[()] for key, array in content.arrays(group)})
-            for name, group in file.items()
+            name: (dict(file[name].attrs), {key: array[()] for key, array in content.arrays(file[name])})
+            for name in (f"episode_{number}" for number in range(len(file)))
         }
 
 
