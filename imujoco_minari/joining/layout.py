@@ -32,7 +32,6 @@ class Layout:
     """Where things are in the file of a dataset of ``E`` episodes.
 
     Attributes:
-        size: of the file, in bytes.
         addresses: where in the file its addresses are.
         values: those addresses.
         episodes: where each episode's object header is; shape ``(E,)``.
@@ -42,7 +41,6 @@ class Layout:
         attributes: of the root group, those that are one value.
     """
 
-    size: int
     addresses: Positions
     values: Positions
     episodes: Positions
@@ -130,7 +128,6 @@ def _layout(reader: Reader) -> Layout:
     reader.check_taken()
     addresses, values = reader.addresses()
     return Layout(
-        size=reader.size,
         addresses=addresses,
         values=values,
         episodes=headers[order],
