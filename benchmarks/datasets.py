@@ -33,24 +33,20 @@ def combining_row(ids: list[str], rounds: int) -> Row:
     episodes = sum(dataset.total_episodes for dataset in loaded)
     folder = roots.datasets_root() / "combined"
 
-    def copy(*, force: bool = True) -> None:
+    def clear() -> None:
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+        # What another has left to write would be forced to the disk with ours.
+        os.sync()
+
+    def copy() -> None:
         with (folder / "copied.bin").open("wb") as target:
             for file in files:
                 with file.open("rb") as source:
                     shutil.copyfileobj(source, target, 2**20)
-            if force:
-                # What is combined is forced to the disk too.
-                target.flush()
-                os.fsync(target.fileno())
-
-    def clear() -> None:
-        shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir(parents=True)
-        # What another has left to write would be forced to the disk with ours, and a virtual machine is
-        # given memory when it is first written to: three times as much time as the copying takes.
-        os.sync()
-        copy(force=False)
-        (folder / "copied.bin").unlink()
+            # What is combined is forced to the disk too.
+            target.flush()
+            os.fsync(target.fileno())
 
     contenders = {
         OURS: partial(combine_datasets, ids, "combined/copied-v0"),

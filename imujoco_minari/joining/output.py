@@ -12,6 +12,9 @@ from pathlib import Path
 # Who checks the next file holds Python's lock for milliseconds. So long writing and digest must find work
 # in what they have: blocks of 1 MiB take a tenth longer.
 _BLOCK, _BLOCKS = 2**22, 4
+# What Linux is given at a time. It caches in pieces as large as it is given, and has smaller ones at hand:
+# with 4 MiB every third file takes half as long again.
+_PIECE = 2**20
 # So much is sent to the disk at a time, lest all of it wait for the end.
 _SENT = 2**24
 
@@ -88,7 +91,7 @@ class Output:
     def _write(self, rest: memoryview) -> None:
         try:
             while rest:
-                rest = rest[self._file.write(rest) :]
+                rest = rest[self._file.write(rest[:_PIECE]) :]
         except OSError as error:
             error.filename = self._file.name
             raise
