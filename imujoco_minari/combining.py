@@ -9,7 +9,7 @@ where not.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ from minari import MinariDataset
 from minari.dataset.minari_storage import MinariStorage
 
 from imujoco_minari import content, copying, roots
-from imujoco_minari.errors import DatasetError, DatasetExistsError, DatasetNotFoundError, ImujocoError
+from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError
 from imujoco_minari.importing.original import (
     CATALOGUE,
     ORIGINAL,
@@ -35,40 +35,10 @@ from imujoco_minari.importing.original import (
 )
 from imujoco_minari.joining import Joiner, NotPlainError
 from imujoco_minari.registration import collection_spec, environment_spec
+from imujoco_minari.sources import IDENTITY, Source, check_sources, open_source
 from imujoco_minari.variants import EXPERT, NAMESPACE, Variant, catalogue
-from imujoco_minari.verification.identity import read_metadata
 from imujoco_minari.verification.screening import survives
 from imujoco_minari.writing import writing
-
-# Attributes that a collection carries itself where all its episodes agree on them.
-_COMMON = ("variant", "robot", "category", "body", "percent", "tier")
-
-
-@dataclass(frozen=True)
-class _Source:
-    """One dataset, or view of one, that goes into a collection."""
-
-    dataset_id: str
-    file: Path
-    episodes: Sequence[int]
-    storage: Any
-    env_spec: EnvSpec | None
-    content_sha256: str | None
-
-    def attributes(self, said: Mapping[str, Any]) -> list[dict[str, Any]]:
-        """Return what identifies each episode, given what the file says of itself.
-
-        Raises:
-            DatasetError: when the file is not the one that the metadata is of.
-        """
-        if said.get("content_sha256") != self.content_sha256:
-            raise DatasetError(
-                f"{self.dataset_id} was replaced while it was read, or is damaged: nothing was combined"
-            )
-        if all(key in said for key in _COMMON):
-            return [{key: said[key] for key in _COMMON}] * len(self.episodes)
-        with h5py.File(self.file, "r") as file:
-            return copying.episode_attributes(file, self.episodes, _COMMON)
 
 
 @dataclass(frozen=True)
@@ -110,8 +80,8 @@ def combine_datasets(
     if roots.taken(new_dataset_id) and not force:
         raise DatasetExistsError(f"{new_dataset_id} is already there, at {folder}; it was left alone")
     with roots.failures_named():
-        sources = [_source(dataset) for dataset in datasets_to_combine]
-        _check(sources)
+        sources = [open_source(dataset) for dataset in datasets_to_combine]
+        check_sources(sources)
     with roots.staging(new_dataset_id) as staging_folder, _beside() as threads:
         staged = staging_folder / "dataset"
         staged.mkdir()
@@ -149,44 +119,6 @@ def collection_id(robot: str, category: str | None = None, tier: str = EXPERT) -
     return f"{NAMESPACE}/{robot}-{category or 'all'}{suffix}-v0"
 
 
-def _source(dataset: MinariDataset | str) -> _Source:
-    if isinstance(dataset, str):
-        folder = roots.dataset_folder(dataset) / "data"
-        if not folder.is_dir():
-            raise DatasetNotFoundError(f"{dataset} is not in the Minari root, at {folder.parent}")
-        # Read first: where another process replaces the dataset now, the file will not match.
-        stated = read_metadata(folder).get("content_sha256")
-        dataset = _load(dataset, folder)
-    else:
-        stated = dataset.storage.metadata.get("content_sha256")
-    if dataset.storage.FORMAT != "hdf5":
-        raise DatasetError(f"{dataset.id} is stored as {dataset.storage.FORMAT}; valid: hdf5")
-    return _Source(
-        dataset_id=dataset.id,
-        file=content.main_file(dataset.storage.data_path),
-        episodes=[int(index) for index in dataset.episode_indices],
-        storage=dataset.storage,
-        env_spec=dataset.env_spec,
-        content_sha256=stated,
-    )
-
-
-def _load(dataset_id: str, data: Path) -> MinariDataset:
-    """Load a dataset, but never by making the environment that its metadata names, which may be anything."""
-    metadata = read_metadata(data)
-    if not all(isinstance(metadata.get(key), str) for key in ("observation_space", "action_space")):
-        raise DatasetError(
-            f"{dataset_id} does not state its spaces, so that Minari would run what its env_spec names: "
-            f"do not load it; see `imujoco verify {dataset_id}`"
-        )
-    try:
-        return MinariDataset(data)
-    except Exception as error:  # Minari asserts and raises whatever odd metadata makes it stumble on
-        raise DatasetError(
-            f"{dataset_id} cannot be loaded: {type(error).__name__}: {str(error)[:200]}"
-        ) from None
-
-
 @contextmanager
 def _damage_named() -> Iterator[None]:
     """Turn what h5py raises on a damaged source into a DatasetError; a full disk stays an OSError."""
@@ -200,29 +132,6 @@ def _damage_named() -> Iterator[None]:
         ) from None
 
 
-def _check(sources: Sequence[_Source]) -> None:
-    """Raise a DatasetError unless the sources make one collection."""
-    if not sources:
-        raise DatasetError("there is nothing to combine: no dataset was given")
-    if not any(source.episodes for source in sources):
-        raise DatasetError("there is nothing to combine: the datasets hold no episodes")
-    robots = {str(source.storage.metadata.get("robot", "unknown")): source.dataset_id for source in sources}
-    if len(robots) > 1:
-        raise DatasetError(
-            "a collection holds one robot, but these are of several: "
-            + ", ".join(f"{robot} ({dataset_id})" for robot, dataset_id in robots.items())
-        )
-    first = sources[0]
-    for source in sources[1:]:
-        for space in ("observation_space", "action_space"):
-            ours, theirs = getattr(first.storage, space), getattr(source.storage, space)
-            if ours != theirs:
-                raise DatasetError(
-                    f"{first.dataset_id} and {source.dataset_id} cannot be combined: "
-                    f"their {space.replace('_', ' ')}s differ, {ours} and {theirs}"
-                )
-
-
 @contextmanager
 def _beside() -> Iterator[ThreadPoolExecutor]:
     """Yield threads for what the operating system does, digests and disks, while this one copies."""
@@ -233,20 +142,20 @@ def _beside() -> Iterator[ThreadPoolExecutor]:
         threads.shutdown(cancel_futures=True)
 
 
-def _screened(sources: Sequence[_Source], threads: ThreadPoolExecutor) -> Iterator[_Source]:
+def _screened(sources: Sequence[Source], threads: ThreadPoolExecutor) -> Iterator[Source]:
     """Yield the sources, each when its file has proved harmless."""
     for source, _ in zip(sources, threads.map(_screen, sources), strict=True):
         yield source
 
 
-def _screen(source: _Source) -> None:
+def _screen(source: Source) -> None:
     """Raise a DatasetError for a file on which HDF5 may hang or crash; one that is as published is none."""
     stated = source.storage.metadata.get(content.FILE_DIGEST)
     if stated != content.file_sha256(source.file) and (finding := survives(source.file.parent)):
         raise DatasetError(f"{source.dataset_id} cannot be combined: {finding}")
 
 
-def _join(sources: Sequence[_Source], data: Path) -> _Written | None:
+def _join(sources: Sequence[Source], data: Path) -> _Written | None:
     """Write the episodes as bytes, or return None where one of the sources asks for HDF5."""
     if any(source.episodes != list(range(len(source.episodes))) for source in sources):
         return None
@@ -270,7 +179,7 @@ def _join(sources: Sequence[_Source], data: Path) -> _Written | None:
     return _Written(attributes, steps, said, sha256)
 
 
-def _copy(sources: Sequence[_Source], data: Path, threads: ThreadPoolExecutor) -> _Written:
+def _copy(sources: Sequence[Source], data: Path, threads: ThreadPoolExecutor) -> _Written:
     """Copy the episodes by HDF5."""
     attributes: list[dict[str, Any]] = []
     steps, digests = 0, list[str]()
@@ -286,7 +195,7 @@ def _copy(sources: Sequence[_Source], data: Path, threads: ThreadPoolExecutor) -
     return _Written(attributes, steps, said)
 
 
-def _link(sources: Sequence[_Source], data: Path, linked_from: Path) -> _Written:
+def _link(sources: Sequence[Source], data: Path, linked_from: Path) -> _Written:
     """Write links to the episodes, for a file that will lie in ``linked_from``."""
     attributes: list[dict[str, Any]] = []
     steps = 0
@@ -301,7 +210,7 @@ def _link(sources: Sequence[_Source], data: Path, linked_from: Path) -> _Written
     return _Written(attributes, steps, said)
 
 
-def _steps(source: _Source, file: h5py.File) -> int:
+def _steps(source: Source, file: h5py.File) -> int:
     """Return how many steps a source's episodes have, without opening each where all are in it."""
     metadata = source.storage.metadata
     if len(source.episodes) == metadata["total_episodes"]:
@@ -314,12 +223,12 @@ def _common(attributes: list[dict[str, Any]]) -> dict[str, Any]:
     first = attributes[0]
     return {
         key: first[key]
-        for key in _COMMON
+        for key in IDENTITY
         if key in first and all(attrs is first or attrs.get(key) == first[key] for attrs in attributes)
     }
 
 
-def _describe(sources: Sequence[_Source], data: Path, dataset_id: str, written: _Written) -> None:
+def _describe(sources: Sequence[Source], data: Path, dataset_id: str, written: _Written) -> None:
     """Write the collection's metadata."""
     attributes = written.attributes
     spec = _env_spec(sources, dataset_id, attributes)
@@ -343,9 +252,7 @@ def _describe(sources: Sequence[_Source], data: Path, dataset_id: str, written: 
     storage.update_metadata({"dataset_size": storage.get_size()})
 
 
-def _env_spec(
-    sources: Sequence[_Source], dataset_id: str, attributes: list[dict[str, Any]]
-) -> EnvSpec | None:
+def _env_spec(sources: Sequence[Source], dataset_id: str, attributes: list[dict[str, Any]]) -> EnvSpec | None:
     if any(is_original(source.storage.metadata) for source in sources):
         return originals_spec(_collection_name(dataset_id), _original_models(sources))
     names = list(dict.fromkeys(str(attrs["variant"]) for attrs in attributes if "variant" in attrs))
@@ -363,7 +270,7 @@ def _collection_name(dataset_id: str) -> str:
     return dataset_id.rpartition("/")[2].rpartition("-v")[0]
 
 
-def _original_models(sources: Sequence[_Source]) -> dict[OriginalVariant, str]:
+def _original_models(sources: Sequence[Source]) -> dict[OriginalVariant, str]:
     """Return the models of sources that all hold the original's variants, whose ids do not imply them."""
     models: dict[OriginalVariant, str] = {}
     for source in sources:

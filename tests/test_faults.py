@@ -229,13 +229,13 @@ def test_a_source_that_is_replaced_while_it_is_combined(monkeypatch: pytest.Monk
     from imujoco_minari import combining
 
     publish("hopper-base", tier="random", episodes=2)
-    check = combining._check
+    check = combining.check_sources
 
     def replace_then_check(sources: Any) -> None:
         publish("hopper-base", tier="random", episodes=1, seed=1, force=True)
         check(sources)
 
-    monkeypatch.setattr(combining, "_check", replace_then_check)
+    monkeypatch.setattr(combining, "check_sources", replace_then_check)
     with pytest.raises(ImujocoError, match="replaced while it was read"):
         combine_datasets([RANDOM_ID], "imujoco/hopper-new-v0")
     assert set(minari.list_local_datasets()) == {RANDOM_ID}
