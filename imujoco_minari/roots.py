@@ -209,7 +209,12 @@ def tidy() -> None:
 
 
 def _tidy(parent: Path, prefix: str = "") -> None:
-    for folder in parent.glob(f"{prefix}*"):
+    try:
+        folders = list(parent.glob(f"{prefix}*"))
+    except FileNotFoundError:
+        # Another process, the last one in it, has removed it between two looks at it.
+        return
+    for folder in folders:
         try:
             # Made when it is not there: a process that died while it removed its folder took its lock first.
             lock = os.open(folder / _LOCK, os.O_CREAT | os.O_RDWR)

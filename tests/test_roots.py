@@ -321,3 +321,18 @@ class TestWithoutExchange:
         roots.tidy()
         assert listed() == {ID: "new"}
         assert not (root / roots.STAGING).exists()
+
+
+def test_a_staging_folder_that_goes_while_it_is_looked_at_is_made_again(root, monkeypatch):
+    glob = Path.glob
+
+    def gone(path, pattern):
+        # As the last of the others removes it, between two calls of the operating system.
+        if path.name == roots.STAGING and path.exists():
+            path.rmdir()
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
+        return glob(path, pattern)
+
+    monkeypatch.setattr(Path, "glob", gone)
+    with roots.staging() as folder:
+        assert folder.is_dir()
