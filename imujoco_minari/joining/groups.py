@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,8 +38,7 @@ class Names:
     entries_at: Positions
 
 
-@dataclass(frozen=True)
-class _Leaves:
+class _Leaves(NamedTuple):
     """Tables of symbols: in which group each is, and after which name its names come, up to which one."""
 
     group: Positions
@@ -111,12 +111,7 @@ def _leaves(reader: Reader, roots: Positions) -> _Leaves:
         leaf, on = levels < 0, levels >= 0
         found.append(_Leaves(group[leaf], children[leaf], after[leaf], up_to[leaf]))
         group, nodes, levels, after, up_to = group[on], children[on], levels[on], after[on], up_to[on]
-    return _Leaves(
-        np.concatenate([leaves.group for leaves in found]),
-        np.concatenate([leaves.at for leaves in found]),
-        np.concatenate([leaves.after for leaves in found]),
-        np.concatenate([leaves.up_to for leaves in found]),
-    )
+    return _Leaves(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
 
 class _Heaps:

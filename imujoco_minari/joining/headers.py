@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import NamedTuple
 
 import h5py
 import numpy as np
@@ -22,6 +22,7 @@ from imujoco_minari.joining.records import (
     TEXT_REFERENCE,
     Positions,
     Reader,
+    aligned,
     counting,
     require,
 )
@@ -49,12 +50,12 @@ class Attributes:
     owner: Positions
     value: Positions
     name_at: Positions
-    name_size: NDArray[np.uint16]
+    name_size: Positions
     kind: Positions
     scalar: NDArray[np.bool_]
 
     def named(self, reader: Reader, name: bytes, kind: int) -> Positions:
-        """Return which of these are scalars of this name and type."""
+        """Return which of these are scalars of this name and kind."""
         some = (self.name_size == len(name) + 1) & (self.kind == kind) & self.scalar
         places = np.flatnonzero(some)
         named: Positions = places[reader.read(f"S{len(name)}", self.name_at[places]) == name]
@@ -75,8 +76,7 @@ class Objects:
     attributes: Attributes
 
 
-@dataclass(frozen=True)
-class _Messages:
+class _Messages(NamedTuple):
     """Messages of many objects: whose each is, its type, and where and how long its content is."""
 
     owner: Positions
@@ -86,7 +86,7 @@ class _Messages:
 
     def of(self, kind: int) -> _Messages:
         some = self.type == kind
-        return _Messages(self.owner[some], self.type[some], self.size[some], self.at[some])
+        return _Messages(*(part[some] for part in self))
 
 
 @cache
@@ -140,12 +140,7 @@ def _messages(reader: Reader, headers: Positions) -> _Messages:
         reader.address(more.at, at)
         reader.take(at, size)
     require(left == 0)
-    return _Messages(
-        np.concatenate([messages.owner for messages in found]),
-        np.concatenate([messages.type for messages in found]),
-        np.concatenate([messages.size for messages in found]),
-        np.concatenate([messages.at for messages in found]),
-    )
+    return _Messages(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
 
 def _of_chunks(reader: Reader, owner: Positions, at: Positions, end: Positions) -> _Messages:
@@ -193,28 +188,26 @@ def _attributes(reader: Reader, messages: _Messages) -> Attributes:
     records = reader.read(ATTRIBUTE, messages.at)
     require(records["version"] == 1, records["name_size"] > 0)
     name_at = messages.at + ATTRIBUTE.itemsize
-    type_at = name_at + _padded(records["name_size"])
-    space_at = type_at + _padded(records["type_size"])
-    value = space_at + _padded(records["space_size"])
+    sizes, type_sizes, space_sizes = (
+        records[f"{part}_size"].astype(np.int64) for part in ("name", "type", "space")
+    )
+    type_at = name_at + aligned(sizes)
+    space_at = type_at + aligned(type_sizes)
+    value = space_at + aligned(space_sizes)
     end = messages.at + messages.size
     require(value <= end)
     # HDF5 counts again, and stumbles over a name that ends before its end.
-    sizes = records["name_size"].astype(np.int64)
     names = reader.read("u1", np.repeat(name_at, sizes) + counting(sizes))
     require(np.array_equal(np.flatnonzero(names == 0), np.cumsum(sizes) - 1))
-    kind, each = _kinds(reader, type_at, records["type_size"])
-    elements, scalar = _elements(reader, space_at, records["space_size"])
+    kind, each = _kinds(reader, type_at, type_sizes)
+    elements, scalar = _elements(reader, space_at, space_sizes)
     require(value + elements * each <= end)
     # One text has one address; an array of them is left to HDF5.
     require(scalar[kind == TEXT])
-    return Attributes(messages.owner, value, name_at, records["name_size"], kind, scalar)
+    return Attributes(messages.owner, value, name_at, sizes, kind, scalar)
 
 
-def _padded(sizes: NDArray[np.uint16]) -> Positions:
-    return (sizes.astype(np.int64) + 7) & ~7
-
-
-def _elements(reader: Reader, at: Positions, sizes: NDArray[Any]) -> tuple[Positions, NDArray[np.bool_]]:
+def _elements(reader: Reader, at: Positions, sizes: Positions) -> tuple[Positions, NDArray[np.bool_]]:
     """Return how many elements each of these dataspaces has, and whether it is a scalar's."""
     records = reader.read(DATASPACE, at)
     rank, limits = records["rank"].astype(np.int64), records["flags"].astype(np.int64)
@@ -236,7 +229,7 @@ def _elements(reader: Reader, at: Positions, sizes: NDArray[Any]) -> tuple[Posit
     return elements, rank == 0
 
 
-def _kinds(reader: Reader, at: Positions, sizes: NDArray[Any]) -> tuple[Positions, Positions]:
+def _kinds(reader: Reader, at: Positions, sizes: Positions) -> tuple[Positions, Positions]:
     """Return which of the known types each of these is, and how many bytes an element of it takes."""
     kind = np.full(at.size, -1)
     begin = reader.read("<i8", at)

@@ -20,7 +20,7 @@ from imujoco_minari.errors import DatasetError
 from imujoco_minari.joining.layout import Layout, read_layout
 from imujoco_minari.joining.moving import Changes
 from imujoco_minari.joining.output import Output
-from imujoco_minari.joining.records import SUPERBLOCK, Positions
+from imujoco_minari.joining.records import SUPERBLOCK, Positions, aligned
 from imujoco_minari.joining.root import Root
 from imujoco_minari.writing import polite_interrupts
 
@@ -37,10 +37,9 @@ class Joiner:
         with ExitStack() as stack:
             stack.enter_context(polite_interrupts())
             self._root = stack.enter_context(Root(episodes))
-            *self._bases, self._root_at = accumulate(map(_aligned, sizes), initial=SUPERBLOCK.itemsize)
-            self._end = self._root_at + self._root.size
+            *self._bases, self._root_at = accumulate(map(aligned, sizes), initial=SUPERBLOCK.itemsize)
             self._output = stack.enter_context(Output(target))
-            self._output.write(self._root.superblock(self._root_at, self._end))
+            self._output.write(self._root.superblock(self._root_at, self._root_at + self._root.size))
             self._sizes, self._episodes = sizes, list[Positions]()
             self._open = stack.pop_all()
 
@@ -71,7 +70,7 @@ class Joiner:
             )
             self._episodes.append(layout.episodes + base)
             self._output.write(bytes(base - self._output.size))
-            self._move(file, changes)
+            self._move(file, self._sizes[number], changes)
         return layout
 
     def finish(self, attributes: Mapping[str, Any]) -> str:
@@ -86,9 +85,9 @@ class Joiner:
         self._output.write(root)
         return self._output.sha256()
 
-    def _move(self, file: FileIO, changes: Changes) -> None:
+    def _move(self, file: FileIO, size: int, changes: Changes) -> None:
         file.seek(0)
-        begin, size = 0, self._sizes[len(self._episodes) - 1]
+        begin = 0
         while begin < size:
             block = self._output.block()
             read = file.readinto(block)
@@ -97,7 +96,3 @@ class Joiner:
             changes.make(block[:read], begin)
             self._output.write_block(block[:read])
             begin += read
-
-
-def _aligned(size: int) -> int:
-    return (size + 7) & ~7

@@ -23,7 +23,7 @@ from imujoco_minari.joining.texts import Texts, read_texts
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 # All versions are 0; addresses and sizes have eight bytes.
 _VERSIONS = bytes((0, 0, 0, 0, 0, 8, 8, 0))
-_MOST_LEVELS = 8
+_DEEPEST = 8
 _DIGEST_LENGTH = 64
 
 
@@ -107,7 +107,7 @@ def _layout(reader: Reader) -> Layout:
     text_at = [root.attributes.texts(), episodes.attributes.texts()]
 
     below = episodes
-    for _ in range(_MOST_LEVELS):
+    for _ in range(_DEEPEST):
         if not below.groups.size:
             break
         inside = read_names(reader, below.tables)

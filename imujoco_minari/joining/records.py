@@ -161,6 +161,11 @@ def counting(sizes: Positions) -> Positions:
     return np.arange(int(sizes.sum())) - np.repeat(np.cumsum(sizes) - sizes, sizes)
 
 
+def aligned(size: Any) -> Any:
+    """Return a size, or many, rounded up to what HDF5 pads to: eight bytes."""
+    return (size + 7) & ~7
+
+
 def offset(record: np.dtype[np.void], field: str) -> int:
     """Return where in a record a field begins."""
     assert record.fields is not None

@@ -13,6 +13,7 @@ from imujoco_minari.joining.records import (
     NotPlainError,
     Positions,
     Reader,
+    aligned,
     offset,
     require,
 )
@@ -78,7 +79,7 @@ def _objects(reader: Reader, heaps: Positions) -> tuple[Positions, Positions, Po
             if not 0 <= length <= size - at:
                 raise NotPlainError
             found += (number << 32) + index, heap + at, length
-            at += (length + 7) & ~7
+            at += aligned(length)
     keys, places, lengths = np.array(found, np.int64).reshape(-1, 3).T
     order = np.argsort(keys)
     require(np.diff(keys[order]) > 0)
