@@ -1,1 +1,1 @@
-"""The catalogue: one TOML file a robot. Data only; :mod:`imujoco_minari.variants` reads it."""
+"""The catalogue: one TOML file a robot. Data only; :mod:`imujoco_minari.variants.ids` reads it."""

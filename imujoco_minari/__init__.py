@@ -9,18 +9,18 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from imujoco_minari.envs.registration import make, register, register_catalogue
 from imujoco_minari.errors import ImujocoError
-from imujoco_minari.registration import make, register, register_catalogue
 from imujoco_minari.variants import Variant, bases, catalogue
 
 if TYPE_CHECKING:
-    from imujoco_minari.combining import combine_datasets
+    from imujoco_minari.envs.mjcf import canonical_mjcf
     from imujoco_minari.exporting import export
-    from imujoco_minari.mjcf import canonical_mjcf
+    from imujoco_minari.loading.sampling import Sampler
     from imujoco_minari.policies import load_policy
-    from imujoco_minari.publishing import publish
-    from imujoco_minari.sampling import Sampler
-    from imujoco_minari.splits import held_out
+    from imujoco_minari.publishing.combiner import combine_datasets
+    from imujoco_minari.publishing.publisher import publish
+    from imujoco_minari.variants.splits import held_out
     from imujoco_minari.verification import verify
 
 __version__: str

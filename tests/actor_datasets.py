@@ -15,7 +15,7 @@ def publish_actors(dataset_ids: Iterable[str], root: Path, episodes: int = 8) ->
     from safetensors.numpy import save_file
 
     from imujoco_minari.policies import SIZES
-    from imujoco_minari.publishing import publish
+    from imujoco_minari.publishing.publisher import publish
     from imujoco_minari.variants import parse_dataset_id
 
     root.mkdir(parents=True, exist_ok=True)

@@ -52,7 +52,7 @@ SMALL_DATASETS = {
 
 @pytest.fixture(scope="session")
 def _small_datasets(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    from imujoco_minari.publishing import publish
+    from imujoco_minari.publishing.publisher import publish
     from imujoco_minari.variants import parse_dataset_id
 
     path = tmp_path_factory.mktemp("small")

@@ -16,9 +16,9 @@ import gymnasium as gym
 import numpy as np
 import torch
 
-from imujoco_minari.importing.foreign_mjcf import canonical_foreign_mjcf
-from imujoco_minari.importing.original import OriginalVariant
+from imujoco_minari.envs.external_mjcf import canonical_foreign_mjcf
 from imujoco_minari.policies import SIZES, Policy, RandomPolicy
+from imujoco_minari.variants.original import OriginalVariant
 
 ASSETS = {"hopper": "hopper.xml", "halfcheetah": "half_cheetah.xml", "walker2d": "walker2d.xml"}
 HIDDEN = 16

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from synthetic_arrays import synthetic
 
-from imujoco_minari import adapters
 from imujoco_minari.errors import DependencyError
+from imujoco_minari.exporting import adapters
 
 
 @pytest.mark.parametrize(

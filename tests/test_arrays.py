@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 from synthetic_arrays import BASE, LEG, RANDOM, synthetic
 
-from imujoco_minari import array_cache, roots, selection
-from imujoco_minari.arrays import STEP_ARRAYS, Arrays, arrays, measure
-from imujoco_minari.combining import combine_datasets
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError, StorageError, VariantError
-from imujoco_minari.publishing import publish
+from imujoco_minari.loading import array_cache, selection
+from imujoco_minari.loading.load import STEP_ARRAYS, Arrays, arrays, measure
+from imujoco_minari.publishing.combiner import combine_datasets
+from imujoco_minari.publishing.publisher import publish
+from imujoco_minari.storage import minari_root
 
 HOPPER, LEGS, FEET = (
     "imujoco/hopper-base-random-v0",
@@ -33,7 +34,7 @@ def assert_same(one: Arrays, other: Arrays) -> None:
 
 
 def main_file(dataset_id: str) -> Path:
-    return roots.dataset_folder(dataset_id) / "data" / "main_data.hdf5"
+    return minari_root.dataset_folder(dataset_id) / "data" / "main_data.hdf5"
 
 
 def test_every_number_is_minaris(small_datasets: list[str]) -> None:
@@ -159,7 +160,7 @@ def test_the_test_share_is_scaled_by_the_training_shares_statistics(small_datase
 
 
 def test_statistics_over_many_blocks_are_numpys(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("imujoco_minari.arrays._BLOCK", 7)
+    monkeypatch.setattr("imujoco_minari.loading.load._BLOCK", 7)
     values = np.random.default_rng(0).normal(3.0, 2.0, (100, 4))
     values[:, 3] = 5.0
     statistics = measure(values)
@@ -404,7 +405,7 @@ def test_loading_and_exporting_need_neither_minari_nor_mujoco(
     code = (
         "import sys\n"
         "for name in ('minari', 'mujoco', 'torch', 'stable_baselines3', 'jax'): sys.modules[name] = None\n"
-        "import imujoco_minari.adapters\n"
+        "import imujoco_minari.exporting.adapters\n"
         "from imujoco_minari import Sampler, export, held_out\n"
         f"export({HOPPER!r}, 'd4rl', {str(tmp_path / 'x.hdf5')!r})\n"
         f"Sampler({HOPPER!r}).sample(2)\n"

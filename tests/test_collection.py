@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from minari.dataset.minari_storage import MinariStorage
 
-from imujoco_minari import content
-from imujoco_minari.collection import FolderCollector, collect
+from imujoco_minari.envs.registration import make
 from imujoco_minari.policies import LANES, SIZES, Actor, RandomPolicy
-from imujoco_minari.recording import EpisodeStorage
-from imujoco_minari.registration import make
-from imujoco_minari.rollouts import episode_seed, roll_out
+from imujoco_minari.policies.rollouts import episode_seed, roll_out
+from imujoco_minari.publishing.collector import FolderCollector, collect
+from imujoco_minari.storage import file_format
+from imujoco_minari.storage.writer import EpisodeStorage
 from imujoco_minari.variants import Variant
 
 ROBOTS = ("hopper", "halfcheetah", "walker2d")
@@ -37,9 +37,9 @@ def stock_warnings():
 
 def stored(data):
     """Return the episodes of a storage as attributes and arrays, as h5py reads them."""
-    with h5py.File(content.main_file(data), "r") as file:
+    with h5py.File(file_format.main_file(data), "r") as file:
         return {
-            name: (dict(file[name].attrs), {key: array[()] for key, array in content.arrays(file[name])})
+            name: (dict(file[name].attrs), {key: array[()] for key, array in file_format.arrays(file[name])})
             for name in (f"episode_{number}" for number in range(len(file)))
         }
 
@@ -48,8 +48,8 @@ def assert_same_but_digests(ours, stock):
     assert list(ours) == list(stock)
     for name in stock:
         attributes, arrays = ours[name]
-        assert attributes.pop(content.DIGEST) == content.episode_sha256(
-            {key: content.array_sha256(array) for key, array in arrays.items()}
+        assert attributes.pop(file_format.DIGEST) == file_format.episode_sha256(
+            {key: file_format.array_sha256(array) for key, array in arrays.items()}
         )
         assert attributes == stock[name][0]
         assert {key: type(value) for key, value in attributes.items()} == {

@@ -9,10 +9,10 @@ import minari
 import numpy as np
 import pytest
 
-from imujoco_minari import combining, content, roots
-from imujoco_minari.combining import collection_id, combine_datasets, published_ids
 from imujoco_minari.errors import DatasetError, DatasetExistsError, DatasetNotFoundError
-from imujoco_minari.publishing import publish
+from imujoco_minari.publishing.combiner import collection_id, combine_datasets, published_ids
+from imujoco_minari.publishing.publisher import combiner, publish
+from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.verification import verify
 from imujoco_minari.verification.findings import Finding
 
@@ -40,14 +40,14 @@ def sources(published, root):
 
 def stored(dataset):
     """Return attributes and arrays of the episodes of a dataset or view, in its order."""
-    with h5py.File(content.main_file(dataset.storage.data_path), "r") as file:
+    with h5py.File(file_format.main_file(dataset.storage.data_path), "r") as file:
         groups = [file[f"episode_{index}"] for index in dataset.episode_indices]
         return [
             (
                 dict(group.attrs),
                 {
                     key: (array.dtype, array.shape, array[()].tobytes())
-                    for key, array in content.arrays(group)
+                    for key, array in file_format.arrays(group)
                 },
             )
             for group in groups
@@ -119,14 +119,14 @@ def test_datasets_of_stock_minari_get_their_digests_and_source(sources):
     # Minari's own copy of a dataset keeps no attribute of an episode but number and steps.
     minari.combine_datasets([minari.load_dataset(sources[0])], "imujoco/stock-v0")
     path = minari.load_dataset("imujoco/stock-v0").storage.data_path
-    with h5py.File(content.main_file(path), "r") as file:
-        assert content.DIGEST not in file["episode_0"].attrs
+    with h5py.File(file_format.main_file(path), "r") as file:
+        assert file_format.DIGEST not in file["episode_0"].attrs
     collection = combine_datasets(["imujoco/stock-v0"], "imujoco/again-v0")
     attributes, arrays = stored(collection)[-1]
     assert attributes["source"] == "imujoco/stock-v0"
     assert arrays == stored(minari.load_dataset(sources[0]))[-1][1]
-    with h5py.File(content.main_file(collection.storage.data_path), "r") as file:
-        assert content.content_sha256(file, len(file)) == collection.storage.metadata["content_sha256"]
+    with h5py.File(file_format.main_file(collection.storage.data_path), "r") as file:
+        assert file_format.content_sha256(file, len(file)) == collection.storage.metadata["content_sha256"]
 
 
 def test_links_are_relative_so_that_a_root_can_move(sources, root, tmp_path, monkeypatch):
@@ -139,13 +139,13 @@ def test_links_are_relative_so_that_a_root_can_move(sources, root, tmp_path, mon
 def test_a_link_takes_no_space(sources):
     linked = combine_datasets(sources, NEW, link=True)
     copied = combine_datasets(sources, "imujoco/hopper-copied-v0")
-    files = [content.main_file(dataset.storage.data_path) for dataset in (linked, copied)]
+    files = [file_format.main_file(dataset.storage.data_path) for dataset in (linked, copied)]
     sizes = [file.stat().st_size for file in files]
     assert sizes[0] < sizes[1] / 5
 
 
 def test_what_is_damaged_or_missing_is_named(sources, root):
-    with h5py.File(content.main_file(root / IDS[1] / "data"), "a") as file:
+    with h5py.File(file_format.main_file(root / IDS[1] / "data"), "a") as file:
         del file["episode_2"]
     for link in (False, True):
         with pytest.raises(DatasetError, match=r"cannot be copied.*episode_2|cannot be copied.*verify"):
@@ -171,7 +171,7 @@ def test_finds_what_is_published_of_a_robot(sources):
 
 
 def test_nothing_and_two_robots_are_refused(sources, monkeypatch):
-    monkeypatch.setattr("imujoco_minari.publishing.reference_scores", lambda variant: {})
+    monkeypatch.setattr("imujoco_minari.publishing.publisher.reference_scores", lambda variant: {})
     publish("halfcheetah-base", tier="random", episodes=1)
     with pytest.raises(DatasetError, match="no dataset was given"):
         combine_datasets([], NEW)
@@ -198,10 +198,10 @@ def test_a_file_that_has_changed_is_first_read_by_another_process(sources, monke
         return Finding("main_data.hdf5", "is damaged so that reading it kills the process (SIGSEGV)")
 
     with monkeypatch.context() as patch:
-        patch.setattr(combining, "survives", killed)
+        patch.setattr(combiner, "survives", killed)
         combine_datasets(sources, NEW)
         assert asked == []
-        file = content.main_file(roots.dataset_folder(sources[1]) / "data")
+        file = file_format.main_file(minari_root.dataset_folder(sources[1]) / "data")
         with file.open("ab") as stream:
             stream.write(b"0")
         with pytest.raises(DatasetError, match=rf"{sources[1]} cannot be combined: .*SIGSEGV"):

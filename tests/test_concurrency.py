@@ -10,7 +10,7 @@ from pathlib import Path
 import minari
 from minari import namespace
 
-from imujoco_minari import roots
+from imujoco_minari.storage import minari_root
 
 # Each worker commits to ids of its own and of all; readers list the root meanwhile.
 WORKERS = """
@@ -80,7 +80,7 @@ def test_many_writers_and_a_reader(root: Path) -> None:
     for name in namespace.list_local_namespaces():
         assert namespace.get_namespace_metadata(name) == {}
     assert result["lists"] > 0
-    assert not (root / roots.STAGING).exists()
+    assert not (root / minari_root.STAGING).exists()
     assert not list(root.rglob(".*"))
 
 
@@ -96,4 +96,4 @@ def test_two_publishers_of_one_id(root: Path) -> None:
     assert sum(result["created"] for result in results) == 1
     assert len({result["content_sha256"] for result in results}) == 1
     assert set(minari.list_local_datasets()) == {"imujoco/hopper-base-random-v0"}
-    assert not (root / roots.STAGING).exists()
+    assert not (root / minari_root.STAGING).exists()

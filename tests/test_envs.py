@@ -99,7 +99,7 @@ def test_environments_of_one_variant_share_no_model() -> None:
 
 
 def test_a_variant_of_another_robot_is_refused() -> None:
-    from imujoco_minari.envs import HopperVariantEnv
+    from imujoco_minari.envs.robots import HopperVariantEnv
 
     with pytest.raises(VariantError, match="no variant of Hopper-v5"):
         HopperVariantEnv("walker2d-base")
@@ -130,7 +130,7 @@ def test_a_collection_refuses_strangers() -> None:
     env = gym.make("imujoco/hopper-mass-v0")
     with pytest.raises(VariantError, match=r"not in this collection.*did you mean"):
         env.reset(options={"variant": "hopper-massdec_25_leggem"})
-    from imujoco_minari.envs import CollectionEnv
+    from imujoco_minari.envs.robots import CollectionEnv
 
     with pytest.raises(VariantError, match="of one robot, not of hopper, walker2d"):
         CollectionEnv(["hopper-base", "walker2d-base"])

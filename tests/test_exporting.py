@@ -13,12 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from synthetic_arrays import BASE, LEG, synthetic
 
-from imujoco_minari.arrays import Arrays, arrays
 from imujoco_minari.cli.app import run
 from imujoco_minari.errors import DatasetError, DatasetExistsError, DependencyError, StorageError
 from imujoco_minari.exporting import FORMATS, default_target, export, lerobot, rlds
-from imujoco_minari.exporting.targets import new_target
 from imujoco_minari.exporting.tfrecord import crc32c, example, record
+from imujoco_minari.loading.load import Arrays, arrays
+from imujoco_minari.storage.targets import new_target
 
 
 @pytest.fixture

@@ -23,11 +23,11 @@ from typing import Any
 import minari
 import pytest
 
-from imujoco_minari import roots
-from imujoco_minari.combining import combine_datasets
 from imujoco_minari.errors import ImujocoError, StorageError
-from imujoco_minari.exporting.targets import new_target
-from imujoco_minari.publishing import publish
+from imujoco_minari.publishing.combiner import combine_datasets
+from imujoco_minari.publishing.publisher import publish
+from imujoco_minari.storage import minari_root
+from imujoco_minari.storage.targets import new_target
 
 ID = "imujoco/hopper-base-v0"
 RANDOM_ID = "imujoco/hopper-base-random-v0"
@@ -58,16 +58,16 @@ def failing(at: int, code: int) -> Iterator[Faults]:
             patch.setattr(os, name, faults(getattr(os, name)))
         patch.setattr(io, "open", faults(io.open))
         patch.setattr(fcntl, "flock", faults(fcntl.flock))
-        patch.setattr(roots, "exchange", faults(roots.exchange))
+        patch.setattr(minari_root, "exchange", faults(minari_root.exchange))
         yield faults
 
 
 def put(mark: str, *, replace: bool = False) -> None:
-    with roots.staging(ID) as folder:
+    with minari_root.staging(ID) as folder:
         staged = folder / "dataset"
         (staged / "data").mkdir(parents=True)
         (staged / "data" / "metadata.json").write_text(json.dumps({"dataset_id": ID, "mark": mark}))
-        roots.commit(staged, ID, replace=replace)
+        minari_root.commit(staged, ID, replace=replace)
 
 
 def listed() -> dict[str, Any]:
@@ -80,7 +80,7 @@ def test_every_call_of_a_commit_that_fails(
     root: Path, code: int, there: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if there.endswith("no exchange"):
-        monkeypatch.setattr(roots, "exchange", lambda source, target: False)
+        monkeypatch.setattr(minari_root, "exchange", lambda source, target: False)
     # The disk's own time is not what is tested, and most of what a commit takes.
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)
     at, ends = 0, set()
@@ -101,8 +101,8 @@ def test_every_call_of_a_commit_that_fails(
         assert end != "done" or listed() == {ID: "new"}, f"call {at}"
         put("again", replace=True)
         assert listed() == {ID: "again"}
-        roots.tidy()
-        assert not list((root / roots.STAGING).glob("*")), f"call {at} left something behind"
+        minari_root.tidy()
+        assert not list((root / minari_root.STAGING).glob("*")), f"call {at} left something behind"
         if faults.count < at:
             break
     assert at > 25
@@ -122,7 +122,7 @@ def test_every_call_of_an_export_that_fails(
     tmp_path: Path, code: int, exchange: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if not exchange:
-        monkeypatch.setattr(roots, "exchange", lambda source, target: False)
+        monkeypatch.setattr(minari_root, "exchange", lambda source, target: False)
     at, target = 0, tmp_path / "exports" / "folder"
     while True:
         at += 1
@@ -151,11 +151,11 @@ def test_a_full_disk_while_publishing(step: str, root: Path, monkeypatch: pytest
     def fill(*args: Any, **kwargs: Any) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(f"imujoco_minari.publishing.{step}", fill)
+    monkeypatch.setattr(f"imujoco_minari.publishing.publisher.{step}", fill)
     with pytest.raises(StorageError, match="No space left on device"):
         publish("hopper-base", tier="random", episodes=1)
     assert minari.list_local_datasets() == {}
-    assert not (root / roots.STAGING).exists()
+    assert not (root / minari_root.STAGING).exists()
 
 
 def test_what_hdf5_says_of_a_full_disk_is_understood() -> None:
@@ -164,9 +164,9 @@ def test_what_hdf5_says_of_a_full_disk_is_understood() -> None:
         "Can't decrement id ref count (file write failed: time = Sat Nov 21 00:53:42 2026\n, filename = "
         "'x.hdf5', file descriptor = 5, errno = 28, error message = 'No space left on device', buf = 0x5)"
     )
-    with pytest.raises(StorageError, match="No space left on device"), roots.staging():
+    with pytest.raises(StorageError, match="No space left on device"), minari_root.staging():
         raise RuntimeError(words)
-    with pytest.raises(RuntimeError, match="something else"), roots.staging():
+    with pytest.raises(RuntimeError, match="something else"), minari_root.staging():
         raise RuntimeError("something else")
 
 
@@ -182,20 +182,20 @@ def test_a_small_disk(root: Path) -> None:
     assert done.returncode == 1, done.stderr
     assert "File too large" in done.stderr
     assert minari.list_local_datasets() == {}
-    assert not (root / roots.STAGING).exists()
+    assert not (root / minari_root.STAGING).exists()
 
 
 KILLED_AT = {
-    "rolling out": "imujoco_minari.publishing._complete",
-    "before the rename": "imujoco_minari.roots._rename_new",
-    "after the rename": "imujoco_minari.publishing._summary",
+    "rolling out": "imujoco_minari.publishing.publisher._complete",
+    "before the rename": "imujoco_minari.storage.minari_root._rename_new",
+    "after the rename": "imujoco_minari.publishing.publisher._summary",
 }
 
 
 @pytest.mark.parametrize("moment", list(KILLED_AT))
 def test_killed_and_run_again_the_dataset_is_that_of_an_undisturbed_run(moment: str, root: Path) -> None:
     script = (
-        "import os, sys, unittest.mock; from imujoco_minari.publishing import publish\n"
+        "import os, sys, unittest.mock; from imujoco_minari.publishing.publisher import publish\n"
         "kill = lambda *args, **kwargs: os.kill(os.getpid(), 9)\n"
         "with unittest.mock.patch(sys.argv[1], kill): publish('hopper-base', tier='random', episodes=2)"
     )
@@ -205,7 +205,7 @@ def test_killed_and_run_again_the_dataset_is_that_of_an_undisturbed_run(moment: 
     assert set(visible) == ({RANDOM_ID} if moment == "after the rename" else set())
     again = publish("hopper-base", tier="random", episodes=2)
     assert again.created == (not visible)
-    assert not (root / roots.STAGING).exists()
+    assert not (root / minari_root.STAGING).exists()
     undisturbed = publish("hopper-base", tier="random", episodes=2, force=True)
     assert again.content_sha256 == undisturbed.content_sha256
 
@@ -216,7 +216,7 @@ def test_force_that_fails_leaves_the_old_one(root: Path, monkeypatch: pytest.Mon
     def fail(*args: Any, **kwargs: Any) -> list[str]:
         return ["damage"]
 
-    monkeypatch.setattr("imujoco_minari.publishing.inspect", fail)
+    monkeypatch.setattr("imujoco_minari.publishing.publisher.inspect", fail)
     with pytest.raises(ImujocoError, match="not published, its check found: damage"):
         publish("hopper-base", tier="random", episodes=2, force=True)
     monkeypatch.undo()
@@ -226,16 +226,16 @@ def test_force_that_fails_leaves_the_old_one(root: Path, monkeypatch: pytest.Mon
 
 
 def test_a_source_that_is_replaced_while_it_is_combined(monkeypatch: pytest.MonkeyPatch) -> None:
-    from imujoco_minari import combining
+    from imujoco_minari.publishing.publisher import combiner
 
     publish("hopper-base", tier="random", episodes=2)
-    check = combining.check_sources
+    check = combiner.check_sources
 
     def replace_then_check(sources: Any) -> None:
         publish("hopper-base", tier="random", episodes=1, seed=1, force=True)
         check(sources)
 
-    monkeypatch.setattr(combining, "check_sources", replace_then_check)
+    monkeypatch.setattr(combiner, "check_sources", replace_then_check)
     with pytest.raises(ImujocoError, match="replaced while it was read"):
         combine_datasets([RANDOM_ID], "imujoco/hopper-new-v0")
     assert set(minari.list_local_datasets()) == {RANDOM_ID}

@@ -19,13 +19,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from imujoco_minari import roots
-from imujoco_minari.combining import combine_datasets
+from imujoco_minari.envs.external_mjcf import check_text
 from imujoco_minari.errors import DatasetError, ImujocoError
-from imujoco_minari.importing.foreign_mjcf import check_text
 from imujoco_minari.importing.safe_unpack import open_zip, read_npz
 from imujoco_minari.policies import read_actor
-from imujoco_minari.torch_file import TorchFile
+from imujoco_minari.policies.torch_file import TorchFile
+from imujoco_minari.publishing.combiner import combine_datasets
+from imujoco_minari.storage import minari_root
 from imujoco_minari.variants import Variant, parse_dataset_id, parse_specification
 from imujoco_minari.verification import inspect
 from imujoco_minari.verification.identity import loadable, read_metadata
@@ -51,7 +51,7 @@ ATTRIBUTES = st.one_of(
 class TestText:
     @given(st.text(max_size=80) | st.from_regex(r"(hopper|walker2d)-[a-z]{3,9}(inc|dec)_[0-9]{1,5}_[a-z_]*"))
     def test_ids(self, text: str) -> None:
-        for parse in (Variant.parse, parse_dataset_id, roots.dataset_folder):
+        for parse in (Variant.parse, parse_dataset_id, minari_root.dataset_folder):
             with contextlib.suppress(ImujocoError):
                 parse(text)
 

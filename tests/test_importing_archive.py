@@ -11,13 +11,14 @@ import numpy as np
 import original_archive
 import pytest
 
-from imujoco_minari import combine_datasets, content, verify
+from imujoco_minari import combine_datasets, verify
 from imujoco_minari.cli.app import run
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError
 from imujoco_minari.importing.archive import open_archive
 from imujoco_minari.importing.catalogue_diff import published_models
-from imujoco_minari.importing.original import OriginalVariant
 from imujoco_minari.importing.originals import Import, import_archive, import_variant, recollect
+from imujoco_minari.storage import file_format
+from imujoco_minari.variants.original import OriginalVariant
 
 HOPPER = "hopper-massdec_25_leggeom"
 ODD = "walker2d-frictiondec_50_footleftgeom"
@@ -112,7 +113,7 @@ def test_recollected_data_replay_bit_for_bit(place: Path) -> None:
     assert "replayable" not in found
     assert found["policy_deterministic"] is True
     assert found["algorithm_name"] == "SAC"
-    with h5py.File(content.main_file(str(published.path) + "/data"), "a") as file:
+    with h5py.File(file_format.main_file(str(published.path) + "/data"), "a") as file:
         assert file["episode_0"].attrs["seed"] != file["episode_1"].attrs["seed"]
         file["episode_0/rewards"][0] += 1e-9
     assert any("rewards[0]" in finding.where for finding in verify(published.dataset_id))

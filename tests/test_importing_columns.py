@@ -9,12 +9,12 @@ import numpy as np
 import original_archive
 import pytest
 
+from imujoco_minari.envs.external_mjcf import canonical_foreign_mjcf
 from imujoco_minari.errors import DatasetError
 from imujoco_minari.importing.columns import layout, read_table
-from imujoco_minari.importing.foreign_mjcf import canonical_foreign_mjcf
-from imujoco_minari.importing.original import OriginalVariant
 from imujoco_minari.importing.physics import Physics
 from imujoco_minari.importing.transitions import Transitions, cut, episodes, fidelity
+from imujoco_minari.variants.original import OriginalVariant
 
 HOPPER, CHEETAH = "hopper-massdec_25_leggeom", "halfcheetah-jointdec_25_bfoot"
 Simulator = Callable[[str], Physics]

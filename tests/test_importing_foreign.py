@@ -16,10 +16,11 @@ import original_archive
 import pytest
 from minari import DataCollector
 
-from imujoco_minari import content, publish, verify
+from imujoco_minari import publish, verify
 from imujoco_minari.cli.app import run
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError
-from imujoco_minari.importing.foreign import import_dataset, read_source
+from imujoco_minari.importing.external import import_dataset, read_source
+from imujoco_minari.storage import file_format
 from imujoco_minari.variants import Variant
 from imujoco_minari.verification import screening
 
@@ -155,7 +156,7 @@ def test_what_this_package_exports_it_imports(
     tmp_path: Path, format_: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # What is measured is kept by variant: one that no other test takes.
-    monkeypatch.setattr("imujoco_minari.references.EPISODES", 1)
+    monkeypatch.setattr("imujoco_minari.policies.references.EPISODES", 1)
     variant = Variant.parse("halfcheetah-massinc_7_bfoot")
     publish(variant, tier="random", episodes=2)
     target = str(tmp_path / ("out.hdf5" if format_ == "d4rl" else "out.npz"))
@@ -212,7 +213,7 @@ def test_what_cannot_be_imported_is_named(tmp_path: Path, capsys: pytest.Capture
 
 def test_a_minari_file_by_itself_is_pointed_to_its_folder(root: Path) -> None:
     publish("hopper-base", tier="random", episodes=1)
-    path = content.main_file(root / "imujoco" / "hopper-base-random-v0" / "data")
+    path = file_format.main_file(root / "imujoco" / "hopper-base-random-v0" / "data")
     with pytest.raises(DatasetError, match="give the dataset's folder, or its id"):
         read_source(str(path), "hopper")
 

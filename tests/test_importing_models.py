@@ -11,13 +11,13 @@ import original_archive
 import pytest
 
 import imujoco_minari
-from imujoco_minari import mjcf
-from imujoco_minari.differences import model_differences
+from imujoco_minari.envs.differences import model_differences
+from imujoco_minari.envs.external_mjcf import canonical_foreign_mjcf
+from imujoco_minari.envs.robots import mjcf
 from imujoco_minari.errors import ModelError, VariantError
 from imujoco_minari.importing.catalogue_diff import common_differences, coverage, departure
-from imujoco_minari.importing.foreign_mjcf import canonical_foreign_mjcf
-from imujoco_minari.importing.original import OriginalVariant, models_of, originals_spec
 from imujoco_minari.variants import ROBOTS, Variant
+from imujoco_minari.variants.original import OriginalVariant, models_of, originals_spec
 
 # Every numeric field that decides how a model moves.
 FIELDS = (

@@ -16,8 +16,8 @@ import pytest
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError
 from imujoco_minari.importing import safe_unpack
 from imujoco_minari.importing.archive import open_archive
-from imujoco_minari.importing.original import OriginalVariant
 from imujoco_minari.importing.originals import Import, import_archive, recollect
+from imujoco_minari.variants.original import OriginalVariant
 
 HOPPER = "hopper-massdec_25_leggeom"
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from processes import running
 
-from imujoco_minari import roots, writing
+from imujoco_minari.storage import minari_root, quiet_file
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for orphans in /proc")
 
@@ -46,8 +46,8 @@ def test_publish(jobs: str, whole_group: bool, root: Path) -> None:
     while running(process.pid) and time.monotonic() < end:
         time.sleep(0.05)
     assert running(process.pid) == []
-    roots.tidy()
-    assert not (root / roots.STAGING).exists()
+    minari_root.tidy()
+    assert not (root / minari_root.STAGING).exists()
     assert "Traceback" not in errors
     assert "Warning" not in errors
 
@@ -72,18 +72,18 @@ def test_one_that_comes_while_hdf5_calls_our_file_comes_after(
     path.touch()
 
     def write() -> None:
-        with writing.writing(path) as file:
+        with quiet_file.writing(path) as file:
             for number in range(1000):
                 file[str(number)] = np.arange(1000)
                 file.flush()
 
     handler = signal.signal(signal.SIGINT, signal.default_int_handler)
-    writing._QuietFile.__bases__ = (Interrupted,)
+    quiet_file._QuietFile.__bases__ = (Interrupted,)
     try:
         with pytest.raises(KeyboardInterrupt):
             write()
     finally:
-        writing._QuietFile.__bases__ = (io.FileIO,)
+        quiet_file._QuietFile.__bases__ = (io.FileIO,)
         restored = signal.signal(signal.SIGINT, handler)
     assert calls == [called]
     assert capfd.readouterr().err == ""

@@ -15,14 +15,14 @@ import numpy as np
 import pyfive
 import pytest
 
-from imujoco_minari import combining, content, roots
-from imujoco_minari.combining import combine_datasets
 from imujoco_minari.errors import DatasetError
-from imujoco_minari.joining import Joiner, NotPlainError
-from imujoco_minari.publishing import publish
-from imujoco_minari.recording import write_episode
+from imujoco_minari.publishing.combiner import combine_datasets
+from imujoco_minari.publishing.joining import Joiner, NotPlainError
+from imujoco_minari.publishing.publisher import combiner, publish
+from imujoco_minari.storage import file_format, minari_root
+from imujoco_minari.storage.quiet_file import writing
+from imujoco_minari.storage.writer import write_episode
 from imujoco_minari.verification import verify
-from imujoco_minari.writing import writing
 
 IDS = [f"imujoco/{name}-random-v0" for name in ("hopper-base", "hopper-massdec_25_leggeom")]
 EPISODES = 5
@@ -45,7 +45,7 @@ def sources(published, root):
 
 
 def data_file(dataset_id):
-    return content.main_file(roots.dataset_folder(dataset_id) / "data")
+    return file_format.main_file(minari_root.dataset_folder(dataset_id) / "data")
 
 
 def whole(file):
@@ -82,10 +82,10 @@ def test_what_is_joined_is_what_hdf5_copies(sources, monkeypatch):
     for way in ("moved", "copied"):
         with monkeypatch.context() as patch:
             if way == "copied":
-                patch.setattr(combining, "_join", lambda *_: None)
+                patch.setattr(combiner, "_join", lambda *_: None)
             collection = combine_datasets(IDS, "imujoco/both-v0", force=True)
         assert verify("imujoco/both-v0") == []
-        path = content.main_file(collection.storage.data_path)
+        path = file_format.main_file(collection.storage.data_path)
         with h5py.File(path, "r") as file:
             assert len(file) == 2 * EPISODES + 1
             said.append(whole(file))
@@ -187,21 +187,21 @@ def test_shares_of_jobs_and_tiers_are_joined_too(root, tmp_path, monkeypatch):
 
 def test_hdf5_copies_what_is_not_plain(sources, monkeypatch):
     used = []
-    copy = combining._copy
-    monkeypatch.setattr(combining, "_copy", lambda *given: used.append(1) or copy(*given))
+    copy = combiner._copy
+    monkeypatch.setattr(combiner, "_copy", lambda *given: used.append(1) or copy(*given))
     combine_datasets(IDS, "imujoco/plain-v0")
     assert used == []
     with h5py.File(sources[1], "r+") as file:
         file["episode_0"].create_dataset("infos", data=np.arange(100), chunks=(10,))
     collection = combine_datasets(IDS, "imujoco/mixed-v0")
     assert used == [1]
-    with h5py.File(content.main_file(collection.storage.data_path), "r") as file:
+    with h5py.File(file_format.main_file(collection.storage.data_path), "r") as file:
         assert file[f"episode_{EPISODES}/infos"].chunks == (10,)
         assert len(file) == 2 * EPISODES + 1
 
 
 def test_attributes_that_do_not_fit_are_left_to_hdf5(sources, monkeypatch):
-    monkeypatch.setattr("imujoco_minari.joining.root._ROOM", 0)
+    monkeypatch.setattr("imujoco_minari.publishing.joining.root._ROOM", 0)
     assert combine_datasets(IDS, "imujoco/tight-v0").total_episodes == 2 * EPISODES + 1
     assert verify("imujoco/tight-v0") == []
 
@@ -210,7 +210,7 @@ def test_a_file_system_that_maps_nothing_is_left_to_hdf5(sources, monkeypatch):
     def refuse(*given, **named):
         raise OSError(errno.ENODEV, "No such device")
 
-    monkeypatch.setattr("imujoco_minari.joining.layout.mmap.mmap", refuse)
+    monkeypatch.setattr("imujoco_minari.publishing.joining.layout.mmap.mmap", refuse)
     assert combine_datasets(IDS, "imujoco/unmapped-v0").total_episodes == 2 * EPISODES + 1
 
 
@@ -399,7 +399,7 @@ def test_damage_is_refused_or_does_not_matter(sources, tmp_path):
     sound, rng = sources[0].read_bytes(), random.Random(0)
     structure = np.ones(len(sound), bool)
     with h5py.File(sources[0], "r") as file:
-        arrays = [array for group in file.values() for _, array in content.arrays(group)]
+        arrays = [array for group in file.values() for _, array in file_format.arrays(group)]
         for array in arrays:
             structure[array.id.get_offset() :][: array.id.get_storage_size()] = False
     places = np.flatnonzero(structure).tolist()

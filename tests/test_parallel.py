@@ -14,11 +14,11 @@ import minari
 import pytest
 from processes import alive, running
 
-from imujoco_minari import content, roots
 from imujoco_minari.errors import DatasetError, DependencyError, JobError
 from imujoco_minari.parallel import ATTEMPTS, run_jobs
-from imujoco_minari.publishing import publish, publish_all
-from imujoco_minari.recipes import Recipe
+from imujoco_minari.publishing.publisher import publish, publish_all
+from imujoco_minari.publishing.recipes import Recipe
+from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.variants import Variant
 from imujoco_minari.verification import verify
 
@@ -85,7 +85,7 @@ def wait_for(condition):
 
 
 def root_seen(_):
-    return str(roots.datasets_root())
+    return str(minari_root.datasets_root())
 
 
 def test_an_interrupt_is_for_the_parent_alone():
@@ -173,12 +173,12 @@ def test_the_content_does_not_depend_on_how_many_jobs(root):
 def test_several_find_what_one_finds(root):
     dataset_id = publish("hopper-base", tier="random", episodes=11).dataset_id
     assert verify(dataset_id, jobs=2) == []
-    data = roots.dataset_folder(dataset_id) / "data"
-    with h5py.File(content.main_file(data), "a") as file:
+    data = minari_root.dataset_folder(dataset_id) / "data"
+    with h5py.File(file_format.main_file(data), "a") as file:
         for number in (3, 9):
             group = file[f"episode_{number}"]
             group["observations"][2, 1] += 1e-9
-            content.seal_episode(group)
+            file_format.seal_episode(group)
     seen = []
     alone, shared = verify(dataset_id), verify(dataset_id, jobs=2, on_episode=lambda: seen.append(1))
     assert shared == alone

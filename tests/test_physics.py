@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from imujoco_minari.mjcf import canonical_mjcf, healthy_z_range
+from imujoco_minari.envs.mjcf import canonical_mjcf, healthy_z_range
 from imujoco_minari.variants import CATEGORIES, ROBOTS, Variant, bases, catalogue, specification
 
 ASSETS = Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets"
@@ -287,7 +287,7 @@ def test_friction_of_simulated_foot_floor_contacts_scales(variant: Variant) -> N
 @pytest.mark.parametrize("robot", ROBOTS)
 @pytest.mark.parametrize("category", CATEGORIES)
 def test_a_change_of_nothing_is_the_stock_environment_step_for_step(robot: str, category: str) -> None:
-    from imujoco_minari.registration import make
+    from imujoco_minari.envs.registration import make
 
     ids = {"hopper": "Hopper-v5", "halfcheetah": "HalfCheetah-v5", "walker2d": "Walker2d-v5"}
     for body in specification(robot).changes[category].bodies:

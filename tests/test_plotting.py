@@ -14,7 +14,7 @@ from PIL import Image
 from imujoco_minari import combine_datasets, publish
 from imujoco_minari.cli.app import run
 from imujoco_minari.errors import DatasetError, DependencyError
-from imujoco_minari.plotting.datasets import (
+from imujoco_minari.pictures.plotting.datasets import (
     QUESTIONS,
     Series,
     draw_actions,
@@ -25,12 +25,12 @@ from imujoco_minari.plotting.datasets import (
     plot_datasets,
     with_bases,
 )
-from imujoco_minari.plotting.quantities import action_quantities, observation_quantities
-from imujoco_minari.plotting.style import COLOURS, line_style, save
-from imujoco_minari.plotting.transfer import draw_transfer, plot_transfer
+from imujoco_minari.pictures.plotting.quantities import action_quantities, observation_quantities
+from imujoco_minari.pictures.plotting.style import COLOURS, line_style, save
+from imujoco_minari.pictures.plotting.transfer import draw_transfer, plot_transfer
 from imujoco_minari.policies import SIZES
-from imujoco_minari.rollouts import Evaluation
-from imujoco_minari.transfer import Transfer, columns
+from imujoco_minari.policies.rollouts import Evaluation
+from imujoco_minari.policies.transfer import Transfer, columns
 from imujoco_minari.variants import Variant
 
 pytest.importorskip("matplotlib")

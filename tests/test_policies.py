@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from safetensors.numpy import save_file
 
+from imujoco_minari.envs.registration import make
 from imujoco_minari.errors import PolicyError, PolicyNotFoundError
 from imujoco_minari.policies import Actor, RandomPolicy, expert_actor, load_policy, read_actor
-from imujoco_minari.registration import make
-from imujoco_minari.sb3_export import export_zip
+from imujoco_minari.policies.sb3 import export_zip
 from imujoco_minari.variants import Variant
 
 HOPPER = Variant.parse("hopper-massdec_25_leggeom")

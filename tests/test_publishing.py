@@ -17,10 +17,10 @@ from safetensors.numpy import save_file
 from test_policies import random_actor
 
 import imujoco_minari
+from imujoco_minari.envs.mjcf import canonical_mjcf
 from imujoco_minari.errors import DatasetError, PolicyNotFoundError
-from imujoco_minari.mjcf import canonical_mjcf
-from imujoco_minari.publishing import publish, publish_all
-from imujoco_minari.recipes import Recipe
+from imujoco_minari.publishing.publisher import publish, publish_all
+from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.variants import Variant, catalogue
 
 ID = "imujoco/hopper-massdec_25_leggeom-mine-v0"

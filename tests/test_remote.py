@@ -12,10 +12,8 @@ from typing import Any
 import h5py
 import pytest
 
-from imujoco_minari import remotes, roots
+from imujoco_minari import remotes
 from imujoco_minari.cli.app import run
-from imujoco_minari.combining import combine_datasets
-from imujoco_minari.content import MAIN_FILE
 from imujoco_minari.errors import (
     DatasetError,
     DatasetExistsError,
@@ -23,8 +21,11 @@ from imujoco_minari.errors import (
     DependencyError,
     RemoteError,
 )
-from imujoco_minari.publishing import publish
+from imujoco_minari.publishing.combiner import combine_datasets
+from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.remotes import card, connecting, pulling, pushing, stores
+from imujoco_minari.storage import minari_root
+from imujoco_minari.storage.file_format import MAIN_FILE
 from imujoco_minari.verification import inspect, screening
 
 HOPPER = "imujoco/hopper-massdec_25_leggeom-random-v0"
@@ -51,16 +52,16 @@ class FolderStore:
         return True
 
     def holds(self, dataset_id: str) -> bool:
-        ours = roots.dataset_folder(dataset_id)
+        ours = minari_root.dataset_folder(dataset_id)
         return all(self.read(f"{dataset_id}/{name}") == (ours / name).read_bytes() for name in stores.FILES)
 
     def upload_namespace(self, namespace: str) -> None:
-        self._put(f"{namespace}/{roots.NAMESPACE_FILE}", b"{}")
+        self._put(f"{namespace}/{minari_root.NAMESPACE_FILE}", b"{}")
 
     def upload_dataset(self, dataset_id: str, text: str | None = None) -> None:
         self._put(f"{dataset_id}/{stores.CARD}", (text or "").encode())
         for name in stores.FILES:
-            self._put(f"{dataset_id}/{name}", (roots.dataset_folder(dataset_id) / name).read_bytes())
+            self._put(f"{dataset_id}/{name}", (minari_root.dataset_folder(dataset_id) / name).read_bytes())
 
     def upload_card(self, namespace: str, text: str) -> None:
         self._put(f"{namespace}/{stores.CARD}", text.encode())
@@ -231,7 +232,7 @@ def test_what_is_damaged_on_the_remote_is_not_kept(
     there = elsewhere()
     with pytest.raises(DatasetError, match=message):
         remotes.pull(HOPPER, REMOTE)
-    assert not roots.exists(HOPPER)
+    assert not minari_root.exists(HOPPER)
     assert list(there.rglob("*.hdf5")) == []
 
 

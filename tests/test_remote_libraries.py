@@ -18,10 +18,11 @@ pytest.importorskip("google.cloud.storage")
 from hub_server import TOKEN, Hub, HubServer
 from huggingface_hub import DatasetCard
 
-from imujoco_minari import remotes, roots
+from imujoco_minari import remotes
 from imujoco_minari.errors import RemoteError
-from imujoco_minari.publishing import publish
+from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.remotes import connecting, stores
+from imujoco_minari.storage import minari_root
 from imujoco_minari.verification import screening
 
 # huggingface_hub 2.4 uses httpx in a way that httpx would have changed.
@@ -145,7 +146,7 @@ def test_a_hub_that_refuses_says_why(
     monkeypatch.delenv("HF_TOKEN")
     with pytest.raises(RemoteError, match=message):
         remotes.push(BASE, remote, token=token)
-    assert not roots.dataset_folder(BASE).joinpath("README.md").exists()
+    assert not minari_root.dataset_folder(BASE).joinpath("README.md").exists()
 
 
 @pytest.mark.parametrize(

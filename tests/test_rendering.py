@@ -16,6 +16,7 @@ from PIL import Image
 
 from imujoco_minari import combine_datasets, publish
 from imujoco_minari.cli.app import run
+from imujoco_minari.envs.mjcf import canonical_mjcf, compile_mjcf
 from imujoco_minari.errors import (
     DatasetError,
     DatasetNotFoundError,
@@ -25,17 +26,23 @@ from imujoco_minari.errors import (
     StorageError,
     VariantError,
 )
-from imujoco_minari.mjcf import canonical_mjcf, compile_mjcf
+from imujoco_minari.pictures.rendering import frame_steps, gl, render_motions
+from imujoco_minari.pictures.rendering.files import write_picture, write_video
+from imujoco_minari.pictures.rendering.film import (
+    caption_height,
+    change,
+    contact_sheet,
+    grid,
+    pace,
+    sheet_steps,
+)
+from imujoco_minari.pictures.rendering.framing import FILL, Capsules, axes, capsules, follow
+from imujoco_minari.pictures.rendering.motion import Motion, perform, timestep
+from imujoco_minari.pictures.rendering.portraits import portraits, stance
+from imujoco_minari.pictures.rendering.recorded import replay
+from imujoco_minari.pictures.rendering.scene import COLOURS, NEAR, scene_model
+from imujoco_minari.pictures.rendering.source import of_dataset, of_variant
 from imujoco_minari.policies import SIZES, RandomPolicy
-from imujoco_minari.rendering import frame_steps, gl, render_motions
-from imujoco_minari.rendering.files import write_picture, write_video
-from imujoco_minari.rendering.film import caption_height, change, contact_sheet, grid, pace, sheet_steps
-from imujoco_minari.rendering.framing import FILL, Capsules, axes, capsules, follow
-from imujoco_minari.rendering.motion import Motion, perform, timestep
-from imujoco_minari.rendering.portraits import portraits, stance
-from imujoco_minari.rendering.recorded import replay
-from imujoco_minari.rendering.scene import COLOURS, NEAR, scene_model
-from imujoco_minari.rendering.source import of_dataset, of_variant
 from imujoco_minari.variants import Variant, bases, catalogue
 
 HOPPER = Variant.parse("hopper-massdec_25_leggeom")
@@ -219,7 +226,7 @@ def test_robots_side_by_side_are_seen_from_one_distance() -> None:
 
 def test_the_camera_model_is_mujocos(opengl: str) -> None:
     """A bright ball's pixels lie where the projection says."""
-    from imujoco_minari.rendering.studio import Studio
+    from imujoco_minari.pictures.rendering.studio import Studio
 
     variant = Variant.parse("hopper-massinc_50_footgeom")
     motion = moved(variant)
@@ -418,7 +425,7 @@ def test_a_library_that_is_not_there_does_not_work() -> None:
 def test_the_backend_is_found_after_mujoco_was_imported(opengl: str, tmp_path: Path) -> None:
     """What MuJoCo settled on at its import does not matter; nor does a display that is not there."""
     code = (
-        "import sys, mujoco, imujoco_minari.envs\n"
+        "import sys, mujoco, imujoco_minari.envs.robots\n"
         "from imujoco_minari.cli.app import run\n"
         "import imujoco_minari.cli\n"
         "sys.exit(run('render hopper-base --tier random --size 64x64 --out'.split() + sys.argv[1:]))"
@@ -476,8 +483,8 @@ def test_frames_of_a_video_differ(opengl: str, tmp_path: Path) -> None:
 
 
 def test_a_motion_that_is_over_stands_still_beside_one_that_goes_on(opengl: str) -> None:
-    from imujoco_minari.rendering.film import frames
-    from imujoco_minari.rendering.studio import Studio
+    from imujoco_minari.pictures.rendering.film import frames
+    from imujoco_minari.pictures.rendering.studio import Studio
 
     whole = moved(HOPPER)
     last = len(whole.rewards)
@@ -574,7 +581,7 @@ def test_a_stance_stands_on_the_floor_within_the_joints_ranges(variant: Variant)
 
 
 def test_portraits_of_one_row_are_seen_from_one_distance(opengl: str) -> None:
-    from imujoco_minari.rendering.studio import Studio
+    from imujoco_minari.pictures.rendering.studio import Studio
 
     with Studio(96, 80, fine=False) as studio:
         base, long = portraits([HOPPER.base, Variant.parse("hopper-lengthinc_50_leggeom")], studio)

@@ -9,8 +9,8 @@ import pytest
 from safetensors.numpy import save_file
 
 from imujoco_minari.policies import SIZES
-from imujoco_minari.publishing import publish, publish_all
-from imujoco_minari.recipes import Recipe
+from imujoco_minari.publishing.publisher import publish, publish_all
+from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.variants import Variant
 
 

@@ -16,8 +16,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from minari import namespace
 
-from imujoco_minari import roots
 from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError, StorageError
+from imujoco_minari.storage import minari_root
 
 ID = "imujoco/hopper-base-v0"
 
@@ -31,8 +31,8 @@ def stage(folder: Path, mark: str, dataset_id: str = ID) -> Path:
 
 
 def put(mark: str, dataset_id: str = ID, *, replace: bool = False) -> None:
-    with roots.staging() as folder:
-        roots.commit(stage(folder, mark, dataset_id), dataset_id, replace=replace)
+    with minari_root.staging() as folder:
+        minari_root.commit(stage(folder, mark, dataset_id), dataset_id, replace=replace)
 
 
 def listed() -> dict[str, str]:
@@ -81,15 +81,15 @@ class TestIds:
     )
     def test_what_is_no_id_is_refused(self, dataset_id: object) -> None:
         with pytest.raises(DatasetError, match="malformed dataset id"):
-            roots.dataset_folder(dataset_id)  # type: ignore[arg-type]
+            minari_root.dataset_folder(dataset_id)  # type: ignore[arg-type]
 
     @given(st.text(max_size=60) | st.from_regex(r"[\w./\\~-]{1,40}-v[0-9]"))
     def test_no_text_names_a_place_outside_the_root(self, text: str) -> None:
         try:
-            folder = roots.dataset_folder(text)
+            folder = minari_root.dataset_folder(text)
         except ImujocoError:
             return
-        root = roots.datasets_root()
+        root = minari_root.datasets_root()
         assert root.resolve() in folder.resolve().parents
         assert not any(part.startswith(".") for part in folder.relative_to(root).parts)
 
@@ -108,7 +108,7 @@ class TestCommit:
         assert leftovers(root) == []
 
     def test_a_staged_dataset_is_not_listed(self) -> None:
-        with roots.staging() as folder:
+        with minari_root.staging() as folder:
             stage(folder, "first")
             assert listed() == {}
         assert listed() == {}
@@ -164,13 +164,13 @@ class TestCommit:
 class TestRoot:
     def test_a_root_that_is_a_file(self, root: Path) -> None:
         root.write_text("")
-        with pytest.raises(StorageError, match="cannot use the Minari root"), roots.staging():
+        with pytest.raises(StorageError, match="cannot use the Minari root"), minari_root.staging():
             pass
 
     def test_a_namespace_that_is_a_file(self, root: Path) -> None:
         root.mkdir()
         (root / "imujoco").write_text("")
-        with pytest.raises(StorageError, match="Not a directory"), roots.staging(ID):
+        with pytest.raises(StorageError, match="Not a directory"), minari_root.staging(ID):
             pass
 
     def test_a_read_only_root(self, root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -178,7 +178,7 @@ class TestRoot:
             raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(root))
 
         monkeypatch.setattr(os, "mkdir", refuse)
-        with pytest.raises(StorageError, match="Read-only file system"), roots.staging():
+        with pytest.raises(StorageError, match="Read-only file system"), minari_root.staging():
             pass
 
     def test_a_namespace_on_another_file_system_is_told_before_the_work(self, root: Path) -> None:
@@ -187,11 +187,11 @@ class TestRoot:
             pytest.skip("no second file system here")
         root.mkdir()
         (root / "imujoco").symlink_to(elsewhere)
-        with pytest.raises(StorageError, match="another file system"), roots.staging(ID):
+        with pytest.raises(StorageError, match="another file system"), minari_root.staging(ID):
             pass
 
     def test_errors_in_the_work_say_what_could_not_be_written(self, root: Path) -> None:
-        with pytest.raises(StorageError, match="No space left"), roots.staging():
+        with pytest.raises(StorageError, match="No space left"), minari_root.staging():
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         assert not root.exists() or leftovers(root) == []
 
@@ -202,7 +202,7 @@ class TestRoot:
         monkeypatch.delenv("MINARI_DATASETS_PATH")
         monkeypatch.setattr(Path, "home", fail)
         with pytest.raises(StorageError, match="MINARI_DATASETS_PATH"):
-            roots.datasets_root()
+            minari_root.datasets_root()
 
 
 class TestTidying:
@@ -218,23 +218,23 @@ class TestTidying:
         folder = dead_folder(root)
         stage(folder, "half")
         (folder / "lock").unlink()
-        roots.tidy()
+        minari_root.tidy()
         assert not folder.exists()
 
     def test_an_empty_folder_goes_too(self, root: Path) -> None:
         folder = dead_folder(root)
         (folder / "lock").unlink()
-        roots.tidy()
+        minari_root.tidy()
         assert not folder.exists()
 
     def test_a_living_process_is_left_alone(self) -> None:
-        with roots.staging() as folder:
+        with minari_root.staging() as folder:
             staged = stage(folder, "mine")
-            roots.tidy()
-            with roots.staging():
+            minari_root.tidy()
+            with minari_root.staging():
                 pass
             assert (staged / "data" / "metadata.json").exists()
-            roots.commit(staged, ID)
+            minari_root.commit(staged, ID)
         assert listed() == {ID: "mine"}
 
     def test_without_locks_nothing_is_taken_for_dead(self, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -242,11 +242,11 @@ class TestTidying:
             raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
 
         monkeypatch.setattr(fcntl, "flock", refuse)
-        with roots.staging() as folder:
+        with minari_root.staging() as folder:
             staged = stage(folder, "mine")
-            roots.tidy()
+            minari_root.tidy()
             assert staged.exists()
-            roots.commit(staged, ID)
+            minari_root.commit(staged, ID)
         assert listed() == {ID: "mine"}
 
 
@@ -255,7 +255,7 @@ class TestWithoutExchange:
 
     @pytest.fixture(autouse=True)
     def _no_exchange(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(roots, "exchange", lambda source, target: False)
+        monkeypatch.setattr(minari_root, "exchange", lambda source, target: False)
 
     def test_replace(self, root: Path) -> None:
         put("old")
@@ -269,7 +269,7 @@ class TestWithoutExchange:
         stage(folder, "new")
         (folder / "replacement.json").write_text(json.dumps({"dataset_id": ID, "staged": "dataset"}))
         (root / ID).rename(folder / "replaced")
-        roots.tidy()
+        minari_root.tidy()
         assert listed() == {ID: "new"}
         assert not folder.exists()
 
@@ -278,7 +278,7 @@ class TestWithoutExchange:
         folder = dead_folder(root)
         stage(folder, "new")
         (folder / "replacement.json").write_text(json.dumps({"dataset_id": ID, "staged": "dataset"}))
-        roots.tidy()
+        minari_root.tidy()
         assert listed() == {ID: "old"}
         assert not folder.exists()
 
@@ -291,7 +291,7 @@ class TestWithoutExchange:
         failed = []
 
         def fail_once(self: Path, target: Path) -> Path:
-            if self.name == "dataset" and roots.dataset_folder(ID) == target and not target.exists():
+            if self.name == "dataset" and minari_root.dataset_folder(ID) == target and not target.exists():
                 failed.append(self)
                 if len(failed) == 1:
                     raise error
@@ -309,7 +309,7 @@ class TestWithoutExchange:
         rename = Path.rename
 
         def fail(self: Path, target: Path) -> Path:
-            if target == roots.dataset_folder(ID):
+            if target == minari_root.dataset_folder(ID):
                 raise OSError(errno.EIO if (root / ID).exists() is False else errno.EEXIST, "broken")
             return rename(self, target)
 
@@ -318,9 +318,9 @@ class TestWithoutExchange:
             with pytest.raises(StorageError, match="broken"):
                 put("new", replace=True)
         assert listed() == {}
-        roots.tidy()
+        minari_root.tidy()
         assert listed() == {ID: "new"}
-        assert not (root / roots.STAGING).exists()
+        assert not (root / minari_root.STAGING).exists()
 
 
 def test_a_staging_folder_that_goes_while_it_is_looked_at_is_made_again(root, monkeypatch):
@@ -328,11 +328,11 @@ def test_a_staging_folder_that_goes_while_it_is_looked_at_is_made_again(root, mo
 
     def gone(path, pattern):
         # As the last of the others removes it, between two calls of the operating system.
-        if path.name == roots.STAGING and path.exists():
+        if path.name == minari_root.STAGING and path.exists():
             path.rmdir()
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
         return glob(path, pattern)
 
     monkeypatch.setattr(Path, "glob", gone)
-    with roots.staging() as folder:
+    with minari_root.staging() as folder:
         assert folder.is_dir()

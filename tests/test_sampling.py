@@ -12,10 +12,11 @@ import torch
 from synthetic_arrays import BASE, LEG, RANDOM, synthetic
 from torch.utils.data import DataLoader
 
-from imujoco_minari.arrays import Arrays, Transitions
 from imujoco_minari.errors import DatasetError, DatasetExistsError, VariantError
-from imujoco_minari.preferences import preference_pairs
-from imujoco_minari.sampling import (
+from imujoco_minari.exporting.torch import TransitionDataset, WindowDataset, as_is
+from imujoco_minari.loading.load import Arrays, Transitions
+from imujoco_minari.loading.preferences import preference_pairs
+from imujoco_minari.loading.sampling import (
     Sampler,
     episode_batches,
     gather_episodes,
@@ -25,8 +26,7 @@ from imujoco_minari.sampling import (
     window_batches,
     window_starts,
 )
-from imujoco_minari.torch_data import TransitionDataset, WindowDataset, as_is
-from imujoco_minari.transitions import Packed, pack
+from imujoco_minari.loading.transitions import Packed, pack
 
 LENGTHS = [5, 3, 7, 4]
 

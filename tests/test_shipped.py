@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
+from imujoco_minari.envs.registration import make
 from imujoco_minari.policies import Actor, expert_actor, expert_record, expert_variants, read_actor
-from imujoco_minari.registration import make
-from imujoco_minari.rollouts import episode_seed, roll_out
-from imujoco_minari.tiers import parts, rung_file
+from imujoco_minari.policies.rollouts import episode_seed, roll_out
+from imujoco_minari.policies.tiers import parts, rung_file
 from imujoco_minari.training.run import CONFIRMING_SEED
 from imujoco_minari.training.starts import generalist_name
 from imujoco_minari.variants import Variant

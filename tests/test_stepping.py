@@ -12,8 +12,8 @@ from gymnasium.envs.mujoco.half_cheetah_v5 import HalfCheetahEnv
 from gymnasium.envs.mujoco.hopper_v5 import HopperEnv
 from gymnasium.envs.mujoco.walker2d_v5 import Walker2dEnv
 
-from imujoco_minari.envs import ENVIRONMENTS, VariantEnv
-from imujoco_minari.mjcf import canonical_mjcf, healthy_z_range
+from imujoco_minari.envs.mjcf import canonical_mjcf, healthy_z_range
+from imujoco_minari.envs.robots import ENVIRONMENTS, VariantEnv
 from imujoco_minari.variants import Variant
 
 STOCK = {"hopper": HopperEnv, "halfcheetah": HalfCheetahEnv, "walker2d": Walker2dEnv}

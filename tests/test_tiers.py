@@ -13,8 +13,8 @@ from test_policies import random_actor
 
 from imujoco_minari.errors import DatasetError, PolicyNotFoundError
 from imujoco_minari.policies import Actor, policies_folder
-from imujoco_minari.publishing import publish
-from imujoco_minari.tiers import parts
+from imujoco_minari.policies.tiers import parts
+from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.variants import Variant
 from imujoco_minari.verification import verify
 

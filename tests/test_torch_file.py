@@ -14,7 +14,7 @@ import pytest
 
 from imujoco_minari.errors import ImujocoError, PolicyError
 from imujoco_minari.policies import read_actor
-from imujoco_minari.torch_file import TorchFile
+from imujoco_minari.policies.torch_file import TorchFile
 
 torch = pytest.importorskip("torch")
 

@@ -15,11 +15,12 @@ import pytest
 
 from imujoco_minari.cli.app import run as run_command
 from imujoco_minari.cli.training import _report
+from imujoco_minari.envs.registration import make
 from imujoco_minari.errors import CatalogueError, PolicyError, PolicyNotFoundError, TrainingError
 from imujoco_minari.policies import expert_actor, expert_record, expert_variants, policies_folder
-from imujoco_minari.publishing import publish
-from imujoco_minari.registration import make
-from imujoco_minari.rollouts import Evaluation, evaluate
+from imujoco_minari.policies.rollouts import Evaluation, evaluate
+from imujoco_minari.publishing.publisher import publish
+from imujoco_minari.publishing.training_data import record_replay
 from imujoco_minari.training import sweep
 from imujoco_minari.training.agents import (
     actor_of,
@@ -31,7 +32,6 @@ from imujoco_minari.training.agents import (
     save_arrays,
 )
 from imujoco_minari.training.hyperparameters import FAR, SCRATCH, WARM, hyperparameters
-from imujoco_minari.training.replay import record_replay
 from imujoco_minari.training.run import CONFIRMING_SEED, Run, Task
 from imujoco_minari.training.starts import START_SEED, best_start
 from imujoco_minari.training.sweep import Plan, Trained, train, train_all

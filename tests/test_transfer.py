@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from safetensors.numpy import save_file
 
-from imujoco_minari import transfer as module
 from imujoco_minari.cli.app import run
+from imujoco_minari.envs.registration import make
 from imujoco_minari.errors import JobError, PolicyError, PolicyNotFoundError, StorageError, TransferError
 from imujoco_minari.policies import Actor, Policy, RandomPolicy
-from imujoco_minari.registration import make
-from imujoco_minari.rollouts import evaluate
-from imujoco_minari.transfer import COLUMNS, columns, evaluate_transfer, expert_policies, write_csv
+from imujoco_minari.policies import transfer as module
+from imujoco_minari.policies.rollouts import evaluate
+from imujoco_minari.policies.transfer import COLUMNS, columns, evaluate_transfer, expert_policies, write_csv
 from imujoco_minari.variants import Variant
 
 VARIANTS = tuple(

@@ -13,10 +13,10 @@ import h5py
 import numpy as np
 import pytest
 
-from imujoco_minari import content, roots
-from imujoco_minari.combining import combine_datasets
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError
-from imujoco_minari.publishing import publish
+from imujoco_minari.publishing.combiner import combine_datasets
+from imujoco_minari.publishing.publisher import publish
+from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.verification import inspect, screening, verify
 
 ID = "imujoco/hopper-base-random-v0"
@@ -47,11 +47,11 @@ def data(published: Path, root: Path) -> Path:
 
 def reseal(data: Path) -> None:
     """Make all digests right again, as one who tampers would."""
-    with h5py.File(content.main_file(data), "a") as file:
+    with h5py.File(file_format.main_file(data), "a") as file:
         for name in file:
             if isinstance(file[name], h5py.Group):
-                content.seal_episode(file[name])
-        digest = content.content_sha256(file, len(file))
+                file_format.seal_episode(file[name])
+        digest = file_format.content_sha256(file, len(file))
         file.attrs["content_sha256"] = digest
     rewrite(data, content_sha256=digest)
 
@@ -61,7 +61,7 @@ def rewrite(data: Path, **changes: Any) -> None:
     path = data / "metadata.json"
     metadata = json.loads(path.read_text()) | changes
     path.write_text(json.dumps({key: value for key, value in metadata.items() if value is not ...}))
-    content.seal_files(data)
+    file_format.seal_files(data)
 
 
 def found(data: Path, **options: Any) -> str:
@@ -71,7 +71,7 @@ def found(data: Path, **options: Any) -> str:
 class TestSound:
     @pytest.mark.parametrize("name", [ID, "imujoco/hopper-both-v0", "imujoco/hopper-linked-v0"])
     def test_nothing_is_found(self, data: Path, name: str) -> None:
-        assert inspect(roots.dataset_folder(name) / "data") == []
+        assert inspect(minari_root.dataset_folder(name) / "data") == []
 
     def test_the_whole_way_through_the_child_process(self, data: Path) -> None:
         seen: list[None] = []
@@ -104,7 +104,7 @@ class TestDamage:
 
     @pytest.mark.parametrize("seed", range(60))
     def test_one_flipped_bit_anywhere_in_the_file(self, data: Path, seed: int) -> None:
-        flip(content.main_file(data), seed)
+        flip(file_format.main_file(data), seed)
         assert "main_data.hdf5: has changed since it was published" in found(data, replay_episodes=0)
 
     @pytest.mark.parametrize("seed", range(60))
@@ -118,19 +118,19 @@ class TestDamage:
         assert same or found(data, replay_episodes=0)
 
     def test_bytes_behind_the_end(self, data: Path) -> None:
-        with content.main_file(data).open("ab") as file:
+        with file_format.main_file(data).open("ab") as file:
             file.write(b"\0")
         assert "has changed since it was published" in found(data, replay_episodes=0)
 
     def test_a_changed_value_is_pinned_to_its_array(self, data: Path) -> None:
-        with h5py.File(content.main_file(data), "a") as file:
+        with h5py.File(file_format.main_file(data), "a") as file:
             file["episode_1/observations"][2, 3] += 1e-12
         text = found(data)
         assert "episode_1/observations: does not have the digest" in text
         assert "episode_1/observations[2]: differs from its replay" in text
 
     def test_noise_is_no_dataset(self, data: Path) -> None:
-        content.main_file(data).write_bytes(np.random.default_rng(0).bytes(10_000))
+        file_format.main_file(data).write_bytes(np.random.default_rng(0).bytes(10_000))
         assert "cannot be read" in found(data)
 
 
@@ -226,7 +226,11 @@ TAMPERED = {
     "reward changed": (put(f"{E0}/rewards", but(1, 0.5)), "rewards_sum"),
     "end cut off": (
         lambda file: (
-            [put(f"{E0}/{key}", lambda v: v[:-3])(file) for key in content.ARRAYS if key != "terminations"]
+            [
+                put(f"{E0}/{key}", lambda v: v[:-3])(file)
+                for key in file_format.ARRAYS
+                if key != "terminations"
+            ]
             + [put(f"{E0}/terminations", lambda v: v[3:])(file)]
         ),
         "rewards_sum",
@@ -320,13 +324,13 @@ class TestTampering:
     @pytest.mark.parametrize("kind", list(TAMPERED))
     def test_it_is_found(self, data: Path, kind: str) -> None:
         damage, finding = TAMPERED[kind]
-        with h5py.File(content.main_file(data), "a") as file:
+        with h5py.File(file_format.main_file(data), "a") as file:
             damage(file)
-        content.seal_files(data)
+        file_format.seal_files(data)
         try:
             reseal(data)
         except Exception:  # what cannot be sealed is found all the same
-            content.seal_files(data)
+            file_format.seal_files(data)
         assert finding in found(data)
 
     @pytest.mark.parametrize(
@@ -403,7 +407,7 @@ class TestLinkedCollections:
         assert "cannot be read" in found(linked)
 
     def test_damage_of_a_source(self, linked: Path, data: Path) -> None:
-        with h5py.File(content.main_file(data), "a") as file:
+        with h5py.File(file_format.main_file(data), "a") as file:
             file["episode_1/observations"][2, 3] += 1e-12
         assert "episode_1/observations: does not have the digest" in found(linked)
 
@@ -412,14 +416,14 @@ class TestLinkedCollections:
     )
     def test_a_link_out_of_the_root(self, linked: Path, root: Path, target: str) -> None:
         shutil.copytree(root / ID, root.parent / "outside")
-        with h5py.File(content.main_file(linked), "a") as file:
+        with h5py.File(file_format.main_file(linked), "a") as file:
             del file["episode_0"]
             file["episode_0"] = h5py.ExternalLink(target, "episode_0")
-        content.seal_files(linked)
+        file_format.seal_files(linked)
         assert "is no dataset of the Minari root" in found(linked)
 
     def test_links_in_a_circle(self, linked: Path, root: Path) -> None:
-        with h5py.File(content.main_file(linked), "a") as file:
+        with h5py.File(file_format.main_file(linked), "a") as file:
             del file["episode_0"]
             file["episode_0"] = h5py.ExternalLink("../../hopper-linked-v0/data/main_data.hdf5", "episode_0")
         assert found(linked)
@@ -441,7 +445,7 @@ class TestScreening:
         self, data: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         self.child(monkeypatch, "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
-        flip(content.main_file(data), 0)
+        flip(file_format.main_file(data), 0)
         changed, killed = map(str, verify(ID))
         assert "has changed since it was published" in changed
         assert "SIGSEGV" in killed

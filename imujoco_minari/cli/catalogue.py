@@ -6,9 +6,9 @@ from typing import Annotated, Any
 
 import typer
 
-from imujoco_minari import roots
 from imujoco_minari.cli.app import AsJson, Category, Robot, app, out, print_json, print_table
 from imujoco_minari.policies import expert_record, expert_variants
+from imujoco_minari.storage import minari_root
 from imujoco_minari.variants import Variant, bases, catalogue
 
 
@@ -30,7 +30,7 @@ def list_variants(robot: Robot = None, category: Category = None, as_json: AsJso
             "body": variant.body,
             "percent": variant.percent,
             "policy": variant in experts,
-            "published": roots.exists(variant.dataset_id()),
+            "published": minari_root.exists(variant.dataset_id()),
         }
         for variant in chosen
     ]
@@ -43,7 +43,7 @@ def list_variants(robot: Robot = None, category: Category = None, as_json: AsJso
     out.print(
         f"\n{listed} variants and {len(chosen) - listed} bases; "
         f"{sum(bool(row['policy']) for row in rows)} with an expert policy, "
-        f"{sum(bool(row['published']) for row in rows)} published in {roots.datasets_root()}"
+        f"{sum(bool(row['published']) for row in rows)} published in {minari_root.datasets_root()}"
     )
 
 
@@ -53,7 +53,7 @@ def show(variant: Annotated[str, typer.Argument(help="A variant id.")], as_json:
 
     Example: `imujoco show hopper-massdec_25_leggeom`
     """
-    from imujoco_minari.differences import differences
+    from imujoco_minari.envs.differences import differences
 
     parsed = Variant.parse(variant)
     changed = differences(parsed)
@@ -64,7 +64,7 @@ def show(variant: Annotated[str, typer.Argument(help="A variant id.")], as_json:
                 "variant": str(parsed),
                 "environment": parsed.environment_id,
                 "dataset": parsed.dataset_id(),
-                "published": roots.exists(parsed.dataset_id()),
+                "published": minari_root.exists(parsed.dataset_id()),
                 "changes": [vars(difference) for difference in changed],
                 "record": dict(record),
             }
@@ -72,7 +72,7 @@ def show(variant: Annotated[str, typer.Argument(help="A variant id.")], as_json:
         return
     out.print(f"[bold]{parsed}[/]")
     out.print(f"environment  {parsed.environment_id}")
-    published = roots.exists(parsed.dataset_id())
+    published = minari_root.exists(parsed.dataset_id())
     out.print(
         f"dataset      {parsed.dataset_id()}  ({'published here' if published else 'not published here'})\n"
     )

@@ -23,8 +23,8 @@ from imujoco_minari.errors import DatasetNotFoundError, VariantError
 from imujoco_minari.variants import EXPERT, Variant, bases, catalogue
 
 if TYPE_CHECKING:
-    from imujoco_minari.publishing import Published
-    from imujoco_minari.recipes import Recipe
+    from imujoco_minari.publishing.publisher import Published
+    from imujoco_minari.publishing.recipes import Recipe
 
 Jobs = Annotated[int, typer.Option("--jobs", "-j", min=1, help="How many processes.")]
 Backend = Annotated[
@@ -60,7 +60,7 @@ def publish_datasets(
     `imujoco publish --robot hopper --jobs 2`,
     `imujoco publish walker2d-base --tier mine --policy sac.zip`
     """
-    from imujoco_minari.recipes import Recipe
+    from imujoco_minari.publishing.recipes import Recipe
 
     chosen = select(variants or [], robot, category, everything)
     recipes = [Recipe(variant, tier, episodes, seed, policy, stochastic) for variant in chosen]
@@ -99,7 +99,7 @@ def _publish(
     recipes: list[Recipe], jobs: int, backend: str | None, force: bool, *, quiet: bool
 ) -> list[Published]:
     from imujoco_minari.errors import ImujocoError
-    from imujoco_minari.publishing import Published, publish, publish_all
+    from imujoco_minari.publishing.publisher import Published, publish, publish_all
 
     outcomes = []
     if len(recipes) == 1 and backend is None:
@@ -153,7 +153,7 @@ def combine(
 
     Examples: `imujoco combine --robot hopper`, `imujoco combine ID ID --id imujoco/hopper-mine-v0`
     """
-    from imujoco_minari.combining import collection_id, combine_datasets, published_ids
+    from imujoco_minari.publishing.combiner import collection_id, combine_datasets, published_ids
 
     if ids and (robot or category):
         raise VariantError("give dataset ids or --robot, not both")
@@ -235,7 +235,7 @@ def _episodes(dataset_id: str) -> int:
 
 def _stated(dataset_id: str) -> dict[str, Any]:
     """Return what a dataset's metadata state; empty where they cannot be read."""
-    from imujoco_minari import roots
+    from imujoco_minari.storage import minari_root
     from imujoco_minari.verification.identity import read_metadata
 
-    return read_metadata(roots.dataset_folder(dataset_id) / "data")
+    return read_metadata(minari_root.dataset_folder(dataset_id) / "data")

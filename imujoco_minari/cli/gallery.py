@@ -27,7 +27,7 @@ def gallery(
 
     Examples: `imujoco gallery site`, `imujoco gallery site --robot hopper --category length`
     """
-    from imujoco_minari.gallery.builder import build, steps
+    from imujoco_minari.pictures.gallery.builder import build, steps
 
     start = time.monotonic()
     chosen = select(variants or [], robot, category, everything=not (robot or category))

@@ -23,10 +23,10 @@ from imujoco_minari.errors import DatasetNotFoundError, VariantError, suggestion
 from imujoco_minari.variants import Variant
 
 if TYPE_CHECKING:
-    from imujoco_minari.differences import Difference
+    from imujoco_minari.envs.differences import Difference
     from imujoco_minari.importing.archive import Archive
     from imujoco_minari.importing.catalogue_diff import Departure
-    from imujoco_minari.importing.original import OriginalVariant
+    from imujoco_minari.variants.original import OriginalVariant
 
 Columns = Annotated[
     str | None,
@@ -139,7 +139,7 @@ def import_command(
     Examples: `imujoco import mujoco/hopper/expert-v0 --variant hopper-base --tier farama`,
     `imujoco import hopper_medium-v2.hdf5 --variant hopper-base --tier d4rl-medium`
     """
-    from imujoco_minari.importing.foreign import import_dataset
+    from imujoco_minari.importing.external import import_dataset
 
     imported = import_dataset(source, Variant.parse(variant), tier, columns=columns, force=force)
     near = imported.one_step

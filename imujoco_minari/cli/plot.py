@@ -24,7 +24,7 @@ def plot(
 
     Example: `imujoco plot imujoco/hopper-massdec_25_leggeom-v0 --out plots`
     """
-    from imujoco_minari.plotting.datasets import QUESTIONS, load_series, plot_datasets, with_bases
+    from imujoco_minari.pictures.plotting.datasets import QUESTIONS, load_series, plot_datasets, with_bases
 
     names = list(dict.fromkeys(ids))
     with progress("plotting", len(names) + len(QUESTIONS), quiet=as_json) as advance:
@@ -62,10 +62,10 @@ def transfer(
 
     Example: `imujoco transfer --robot hopper --category mass --jobs 2`
     """
-    from imujoco_minari.plotting.style import new_figure
-    from imujoco_minari.plotting.transfer import plot_transfer
+    from imujoco_minari.pictures.plotting.style import new_figure
+    from imujoco_minari.pictures.plotting.transfer import plot_transfer
     from imujoco_minari.policies import read_actor
-    from imujoco_minari.transfer import columns, evaluate_transfer, expert_policies, write_csv
+    from imujoco_minari.policies.transfer import columns, evaluate_transfer, expert_policies, write_csv
 
     if robot is None:
         raise VariantError("name the robot with --robot")

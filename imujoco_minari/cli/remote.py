@@ -44,7 +44,7 @@ def push_datasets(
     Examples: `imujoco push imujoco/hopper-massdec_25_leggeom-v0 --remote hf://user`,
     `imujoco push --robot hopper --remote gcp://bucket`
     """
-    from imujoco_minari.combining import published_ids
+    from imujoco_minari.publishing.combiner import published_ids
     from imujoco_minari.remotes import push_all
 
     if ids and (robot or category):

@@ -12,7 +12,7 @@ from imujoco_minari.errors import RenderingError
 from imujoco_minari.variants import EXPERT, Variant
 
 if TYPE_CHECKING:
-    from imujoco_minari.rendering import Motion
+    from imujoco_minari.pictures.rendering import Motion
 
 Seconds = Annotated[float | None, typer.Option("--seconds", min=0.1, help="Show this much, not all.")]
 
@@ -45,8 +45,8 @@ def render(
     Examples: `imujoco render hopper-lengthinc_50_leggeom --beside-base --tier random`,
     `imujoco render imujoco/hopper-massdec_25_leggeom-v0 --episode 3 --out episode.mp4`
     """
-    from imujoco_minari.rendering import frame_steps, render_motions
-    from imujoco_minari.rendering.files import check_format
+    from imujoco_minari.pictures.rendering import frame_steps, render_motions
+    from imujoco_minari.pictures.rendering.files import check_format
 
     width, height = _size(size)
     if target is None:
@@ -79,7 +79,7 @@ def render(
 def _motions(
     what: str, episode: int, tier: str, policy: Path | None, beside_base: bool, seconds: float | None
 ) -> list[Motion]:
-    from imujoco_minari.rendering.source import of_dataset, of_variant
+    from imujoco_minari.pictures.rendering.source import of_dataset, of_variant
 
     if "/" in what:
         return of_dataset(what, episode, beside_base=beside_base, seconds=seconds)

@@ -106,7 +106,7 @@ def train_variants(
 def _record(chosen: list[Variant], plan: Plan, as_json: bool) -> None:
     from dataclasses import replace
 
-    from imujoco_minari.training.replay import record_replay
+    from imujoco_minari.publishing.training_data import record_replay
     from imujoco_minari.training.sweep import task
 
     outcomes = []
@@ -215,7 +215,7 @@ def export(
 
     Example: `imujoco policy export hopper-massdec_25_leggeom expert.zip`
     """
-    from imujoco_minari.sb3_export import export_zip
+    from imujoco_minari.policies.sb3 import export_zip
 
     written = export_zip(Variant.parse(variant), path)
     out.print(f"wrote {written}: `stable_baselines3.SAC.load({str(written)!r})` opens it")

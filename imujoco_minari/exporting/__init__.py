@@ -8,12 +8,12 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
-from imujoco_minari.arrays import Arrays, arrays
 from imujoco_minari.errors import DatasetError, suggestion
-from imujoco_minari.exporting.targets import new_target
+from imujoco_minari.loading.load import Arrays, arrays
+from imujoco_minari.storage.targets import new_target
 
 if TYPE_CHECKING:
-    from imujoco_minari.selection import Datasets
+    from imujoco_minari.loading.selection import Datasets
 
 # Format -> the module that writes it, and the ending of the file; empty for a folder.
 FORMATS: Mapping[str, tuple[str, str]] = {

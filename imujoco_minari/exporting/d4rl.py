@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from imujoco_minari.arrays import Arrays
-from imujoco_minari.writing import writing
+from imujoco_minari.loading.load import Arrays
+from imujoco_minari.storage.quiet_file import writing
 
 
 def write(data: Arrays, target: Path, *, states_only: bool) -> None:

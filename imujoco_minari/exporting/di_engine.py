@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from imujoco_minari.arrays import Arrays
 from imujoco_minari.errors import DatasetError
-from imujoco_minari.writing import writing
+from imujoco_minari.loading.load import Arrays
+from imujoco_minari.storage.quiet_file import writing
 
 
 def write(data: Arrays, target: Path, *, states_only: bool) -> None:

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from imujoco_minari.arrays import Arrays
 from imujoco_minari.errors import missing_dependency
+from imujoco_minari.loading.load import Arrays
 
 VERSION = "v3.0"
 # Environment steps a second: MuJoCo's time step times Gymnasium's frame skip.

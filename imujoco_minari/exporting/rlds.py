@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from imujoco_minari.arrays import Arrays, Trajectory
 from imujoco_minari.exporting.tfrecord import example, record
-from imujoco_minari.selection import ATTRIBUTES, Origin
+from imujoco_minari.loading.load import Arrays, Trajectory
+from imujoco_minari.loading.selection import ATTRIBUTES, Origin
 
 VERSION = "1.0.0"
 # A file that grows beyond this (bytes) is the last but one.

@@ -14,10 +14,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from imujoco_minari.envs.external_mjcf import MAX_BYTES, canonical_foreign_mjcf
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError, StorageError, VariantError
-from imujoco_minari.importing.foreign_mjcf import MAX_BYTES, canonical_foreign_mjcf
-from imujoco_minari.importing.original import OriginalVariant
 from imujoco_minari.importing.safe_unpack import open_zip, unpack
+from imujoco_minari.variants.original import OriginalVariant
 
 # Part -> prefix and suffix of its files around the variant's id.
 _PARTS = {"xml": ("", ".xml"), "policies": ("sac-", ".zip"), "dataset": ("sac-", ".npz")}

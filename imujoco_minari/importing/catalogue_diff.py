@@ -11,14 +11,14 @@ import h5py
 import mujoco
 import numpy as np
 
-from imujoco_minari import content, roots
-from imujoco_minari.differences import Difference, model_differences
+from imujoco_minari.envs.differences import Difference, model_differences
+from imujoco_minari.envs.external_mjcf import canonical_foreign_mjcf
+from imujoco_minari.envs.mjcf import canonical_mjcf, compile_mjcf
 from imujoco_minari.errors import ImujocoError
 from imujoco_minari.importing.archive import Archive
-from imujoco_minari.importing.foreign_mjcf import canonical_foreign_mjcf
-from imujoco_minari.importing.original import ORIGINAL, OriginalVariant
-from imujoco_minari.mjcf import canonical_mjcf, compile_mjcf
+from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.variants import Variant, catalogue
+from imujoco_minari.variants.original import ORIGINAL, OriginalVariant
 
 _JOINT_VALUES = (
     ("damping", "dof_damping", "N m s/rad"),
@@ -106,9 +106,9 @@ def common_differences(departures: Iterable[Departure]) -> dict[str, dict[Differ
 def published_models() -> dict[OriginalVariant, str]:
     """Return the models of the original's datasets that are in the Minari root: a catalogue of its own."""
     models: dict[OriginalVariant, str] = {}
-    for folder in sorted((roots.datasets_root() / ORIGINAL).glob("*-v0")):
+    for folder in sorted((minari_root.datasets_root() / ORIGINAL).glob("*-v0")):
         try:
-            with h5py.File(content.main_file(folder / "data"), "r") as file:
+            with h5py.File(file_format.main_file(folder / "data"), "r") as file:
                 variant = OriginalVariant.parse(str(file.attrs["variant"]))
                 # What lies in the root may come from anywhere, as a dataset that was pulled does.
                 text = canonical_foreign_mjcf(str(file.attrs["mjcf"]), variant.robot, folder.name)

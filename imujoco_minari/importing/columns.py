@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from imujoco_minari.envs.registration import MAX_EPISODE_STEPS
 from imujoco_minari.errors import DatasetError, suggestion
 from imujoco_minari.importing.transitions import Transitions, checked
 from imujoco_minari.policies import SIZES
-from imujoco_minari.registration import MAX_EPISODE_STEPS
 
 Array = NDArray[Any]
 

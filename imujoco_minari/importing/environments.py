@@ -11,15 +11,15 @@ from typing import Any
 
 from gymnasium.utils import EzPickle
 
-from imujoco_minari.envs import (
+from imujoco_minari.envs.external_mjcf import check_text
+from imujoco_minari.envs.robots import (
     CollectionEnv,
     HalfCheetahVariantEnv,
     HopperVariantEnv,
     VariantEnv,
     Walker2dVariantEnv,
 )
-from imujoco_minari.importing.foreign_mjcf import check_text
-from imujoco_minari.importing.original import OriginalVariant
+from imujoco_minari.variants.original import OriginalVariant
 
 
 class OriginalEnv(VariantEnv):

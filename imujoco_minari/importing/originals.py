@@ -14,18 +14,18 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from minari.data_collector import EpisodeBuffer
 
-from imujoco_minari import content
 from imujoco_minari.errors import DatasetError, ImujocoError
 from imujoco_minari.importing.archive import Archive
 from imujoco_minari.importing.columns import ARRAY, Layout, read_table
-from imujoco_minari.importing.original import CATALOGUE, ORIGINAL, RECOLLECTED, OriginalVariant
 from imujoco_minari.importing.physics import Physics
 from imujoco_minari.importing.safe_unpack import Array, read_npz
 from imujoco_minari.importing.transitions import Cut, Transitions, cut, episodes, fidelity
 from imujoco_minari.policies import SIZES, Policy, RandomPolicy, read_actor
-from imujoco_minari.publishing import External, Published, publish_episodes
-from imujoco_minari.rollouts import episode_seed, evaluate
+from imujoco_minari.policies.rollouts import episode_seed, evaluate
+from imujoco_minari.publishing.publisher import External, Published, publish_episodes
+from imujoco_minari.storage import file_format
 from imujoco_minari.variants import EXPERT
+from imujoco_minari.variants.original import CATALOGUE, ORIGINAL, RECOLLECTED, OriginalVariant
 
 AUTHORS = frozenset({"Massimiliano Patacchiola", "Mingfei Sun", "Katja Hofmann", "Richard E. Turner"})
 CODE = "https://github.com/mpatacchiola/imujoco"
@@ -99,7 +99,7 @@ def import_variant(archive: Archive, variant: OriginalVariant, how: Import) -> P
             "source_checks": [str(check) for check in checks],
             "one_step_difference": near.asdict(),
         }
-        attributes = _attributes(variant, how.tier) | {content.REPLAYABLE: False}
+        attributes = _attributes(variant, how.tier) | {file_format.REPLAYABLE: False}
         external = External(variant.dataset_id(how.tier), attributes, spec, mjcf, metadata)
         return publish_episodes(external, episodes(transitions, found, physics), force=how.force)
 
@@ -165,7 +165,7 @@ def _rollout(env: gym.Env[Any, Any], policy: Policy, seed: int) -> EpisodeBuffer
 
 
 def _attributes(variant: OriginalVariant, tier: str) -> dict[str, Any]:
-    return content.attributes(variant, tier) | {CATALOGUE: ORIGINAL}
+    return file_format.attributes(variant, tier) | {CATALOGUE: ORIGINAL}
 
 
 def _common(variant: OriginalVariant, spec: EnvSpec, source: str) -> dict[str, Any]:

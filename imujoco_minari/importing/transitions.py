@@ -15,10 +15,10 @@ import numpy as np
 from minari.data_collector import EpisodeBuffer
 from numpy.typing import NDArray
 
+from imujoco_minari.envs.registration import MAX_EPISODE_STEPS
 from imujoco_minari.errors import DatasetError
 from imujoco_minari.importing.physics import Fidelity, Physics
 from imujoco_minari.policies import SIZES
-from imujoco_minari.registration import MAX_EPISODE_STEPS
 
 Array = NDArray[Any]
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from imujoco_minari.errors import PolicyError, PolicyNotFoundError
 from imujoco_minari.policies.actors import Actor
-from imujoco_minari.torch_file import TorchFile, read_entry
+from imujoco_minari.policies.torch_file import TorchFile, read_entry
 
 # A default SAC zip holds 3 MB; anything near this is no policy of these robots.
 MAX_ZIP_ENTRY, MAX_POLICY_FILE = 64 * 2**20, 256 * 2**20

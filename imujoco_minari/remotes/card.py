@@ -14,10 +14,10 @@ from typing import Any
 import h5py
 import numpy as np
 
-from imujoco_minari.content import MAIN_FILE, REPLAYABLE
-from imujoco_minari.differences import differences
+from imujoco_minari.envs.differences import differences
 from imujoco_minari.errors import VariantError
-from imujoco_minari.tiers import RANDOM, REPLAY, TIERS
+from imujoco_minari.policies.tiers import RANDOM, REPLAY, TIERS
+from imujoco_minari.storage.file_format import MAIN_FILE, REPLAYABLE
 from imujoco_minari.variants import EXPERT, Variant, parse_dataset_id
 
 # How datasets name this package as their author.

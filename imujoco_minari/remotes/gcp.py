@@ -16,7 +16,7 @@ from minari.storage.remotes.gcp import GCPStorage
 
 from imujoco_minari.errors import RemoteError
 from imujoco_minari.remotes.stores import CARD, FILES
-from imujoco_minari.roots import dataset_folder
+from imujoco_minari.storage.minari_root import dataset_folder
 
 _KEY_FILE = "GOOGLE_APPLICATION_CREDENTIALS"
 

@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from imujoco_minari import roots
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError
 from imujoco_minari.remotes.connecting import connect
 from imujoco_minari.remotes.stores import Store, explained, metadata, sources_of
+from imujoco_minari.storage import minari_root
 from imujoco_minari.verification import Finding, inspect, screening
 from imujoco_minari.verification.identity import read_metadata
 
@@ -91,8 +91,8 @@ def _pull(store: Store, dataset_id: str, remote: str, force: bool, done: set[str
     if dataset_id in done:
         return
     done.add(dataset_id)
-    if roots.taken(dataset_id) and not force:
-        yield Pulled(dataset_id, remote, roots.dataset_folder(dataset_id))
+    if minari_root.taken(dataset_id) and not force:
+        yield Pulled(dataset_id, remote, minari_root.dataset_folder(dataset_id))
         return
     with explained(remote):
         stated = metadata(store, dataset_id)
@@ -106,7 +106,7 @@ def _pull(store: Store, dataset_id: str, remote: str, force: bool, done: set[str
 
 def _download(store: Store, dataset_id: str, remote: str, force: bool, sources: Sequence[str]) -> Pulled:
     start = time.monotonic()
-    with roots.staging(dataset_id) as folder:
+    with minari_root.staging(dataset_id) as folder:
         with explained(remote):
             store.download_dataset(dataset_id, folder)
         staged = folder / dataset_id
@@ -114,14 +114,14 @@ def _download(store: Store, dataset_id: str, remote: str, force: bool, sources: 
             # A linked collection refers to its sources by where they lie beside it.
             place = folder / source
             place.parent.mkdir(parents=True, exist_ok=True)
-            place.symlink_to(roots.dataset_folder(source).resolve())
+            place.symlink_to(minari_root.dataset_folder(source).resolve())
         stated = read_metadata(staged / "data")
         # What collections are made of was replayed, or not, when it was pulled.
         same = bool(sources) or _same_simulator(stated)
         findings = _findings(staged / "data", stated, dataset_id, same and not sources)
         if findings:
             raise DatasetError(f"{dataset_id} from {remote}: not kept, its check found: {findings[0]}")
-        target = roots.commit(staged, dataset_id, replace=force)
+        target = minari_root.commit(staged, dataset_id, replace=force)
     digest = str(stated.get("content_sha256", ""))
     return Pulled(dataset_id, remote, target, True, digest, same, time.monotonic() - start)
 

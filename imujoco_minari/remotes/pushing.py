@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from imujoco_minari import roots
 from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError, RemoteError
 from imujoco_minari.remotes.card import dataset_card, namespace_card
 from imujoco_minari.remotes.connecting import connect
@@ -25,6 +24,7 @@ from imujoco_minari.remotes.stores import (
     parse_object,
     sources_of,
 )
+from imujoco_minari.storage import minari_root
 from imujoco_minari.verification import verify
 
 
@@ -105,7 +105,7 @@ def push_all(
 
 def _with_sources(dataset_id: str) -> list[str]:
     """Return the datasets that one is made of, which Minari downloads with it, and then itself."""
-    file = roots.dataset_folder(dataset_id) / METADATA_FILE
+    file = minari_root.dataset_folder(dataset_id) / METADATA_FILE
     try:
         sources = sources_of(parse_object(file.read_bytes(), str(file)))
     except (OSError, RemoteError):
@@ -120,7 +120,7 @@ def _push(store: Store, dataset_id: str, remote: str, force: bool) -> Pushed:
     findings = verify(dataset_id, replay=False)
     if findings:
         raise DatasetError(f"{dataset_id}: not pushed, its check found: {findings[0]}")
-    folder = roots.dataset_folder(dataset_id)
+    folder = minari_root.dataset_folder(dataset_id)
     ours = parse_object((folder / METADATA_FILE).read_bytes(), METADATA_FILE)
     size = sum((folder / name).stat().st_size for name in FILES)
     digest = str(ours.get("content_sha256", ""))

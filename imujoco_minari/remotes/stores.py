@@ -12,9 +12,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
-from imujoco_minari.content import MAIN_FILE
 from imujoco_minari.errors import ImujocoError, RemoteError
-from imujoco_minari.roots import NAMESPACE_FILE
+from imujoco_minari.storage.file_format import MAIN_FILE
+from imujoco_minari.storage.minari_root import NAMESPACE_FILE
 
 METADATA_FILE = "data/metadata.json"
 # The files of a dataset in the order in which they are written: Minari lists what has a metadata.json.

@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from imujoco_minari.envs.registration import make
 from imujoco_minari.policies import expert_record, find_policy_file, read_actor
-from imujoco_minari.registration import make
-from imujoco_minari.rollouts import evaluate
-from imujoco_minari.tiers import medium_rung, rung_file
+from imujoco_minari.policies.rollouts import evaluate
+from imujoco_minari.policies.tiers import medium_rung, rung_file
 from imujoco_minari.training.agents import load_arrays, save_arrays
 from imujoco_minari.variants import Variant
 

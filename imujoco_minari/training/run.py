@@ -18,10 +18,10 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from imujoco_minari.envs.registration import collection_spec, make
 from imujoco_minari.policies import Array
-from imujoco_minari.references import random_evaluation
-from imujoco_minari.registration import collection_spec, make
-from imujoco_minari.rollouts import Evaluation, episode_seed, evaluate
+from imujoco_minari.policies.references import random_evaluation
+from imujoco_minari.policies.rollouts import Evaluation, episode_seed, evaluate
 from imujoco_minari.training.agents import (
     actor_arrays,
     actor_of,

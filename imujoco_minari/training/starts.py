@@ -13,10 +13,10 @@ from typing import Any
 
 from gymnasium import Env
 
+from imujoco_minari.envs.registration import make
 from imujoco_minari.errors import PolicyNotFoundError
 from imujoco_minari.policies import Array, agent_file, expert_record
-from imujoco_minari.registration import make
-from imujoco_minari.rollouts import evaluate
+from imujoco_minari.policies.rollouts import evaluate
 from imujoco_minari.training.agents import actor_of, agent_actor, load_arrays
 from imujoco_minari.training.hyperparameters import WARM, hyperparameters
 from imujoco_minari.variants import Variant

@@ -15,13 +15,13 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from imujoco_minari import content, roots
 from imujoco_minari.errors import DatasetNotFoundError, JobError
 from imujoco_minari.parallel import run_jobs
+from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.verification import digests, screening
+from imujoco_minari.verification.check import check, unreadable
 from imujoco_minari.verification.findings import MAX_FINDINGS, Checked, Finding, shown
 from imujoco_minari.verification.identity import original_models, read_metadata
-from imujoco_minari.verification.parts import check, unreadable
 from imujoco_minari.verification.replay import replay
 
 __all__ = ["Checked", "Finding", "check", "inspect", "verify"]
@@ -48,7 +48,7 @@ def verify(
         DatasetNotFoundError: when the root holds no such dataset.
         JobError: when the back end cannot be used.
     """
-    folder = roots.dataset_folder(dataset_id)
+    folder = minari_root.dataset_folder(dataset_id)
     if not folder.exists():
         raise DatasetNotFoundError(
             f"{dataset_id} is not in the Minari root, at {folder}; see `minari list local`"
@@ -100,7 +100,7 @@ def _replayed(
     """Replay the numbered episodes of a dataset that was checked, None for all; return what differs."""
     findings: list[Finding] = []
     try:
-        with h5py.File(content.main_file(data), "r") as file:
+        with h5py.File(file_format.main_file(data), "r") as file:
             chosen = (
                 range(len(file)) if numbers is None else range(numbers.start, min(numbers.stop, len(file)))
             )
@@ -117,7 +117,7 @@ def _replayed_by_jobs(
     data: Path, jobs: int, backend: str | None, on_episode: Callable[[], None] | None
 ) -> list[Finding]:
     """Replay all episodes in shares, and return what differs in their order."""
-    with h5py.File(content.main_file(data), "r") as file:
+    with h5py.File(file_format.main_file(data), "r") as file:
         episodes = len(file)
     # Several shares a job, so that none waits long for another at the end.
     count = min(episodes, 4 * max(jobs, 2) if backend is None else 256)

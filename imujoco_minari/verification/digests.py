@@ -6,16 +6,20 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from imujoco_minari import content
+from imujoco_minari.storage import file_format
+from imujoco_minari.verification.bounded_read import Episode
 from imujoco_minari.verification.findings import Finding, same, shown
-from imujoco_minari.verification.looking import Episode
 
 
 def files(data: Path, metadata: Mapping[str, Any]) -> Iterator[Finding]:
     """Report files that have changed since they were sealed, in whatever byte."""
     for key, name, digest in (
-        (content.METADATA_DIGEST, "metadata.json", content.metadata_sha256(metadata)),
-        (content.FILE_DIGEST, content.MAIN_FILE, content.file_sha256(content.main_file(data))),
+        (file_format.METADATA_DIGEST, "metadata.json", file_format.metadata_sha256(metadata)),
+        (
+            file_format.FILE_DIGEST,
+            file_format.MAIN_FILE,
+            file_format.file_sha256(file_format.main_file(data)),
+        ),
     ):
         if key not in metadata:
             yield Finding(f"metadata.json/{key}", "is missing")
@@ -32,15 +36,15 @@ def arrays(episode: Episode, read: Mapping[str, Any]) -> Iterator[Finding]:
     """
     digests = {}
     for key, array in sorted(episode.arrays.items()):
-        digests[key] = content.array_sha256(read[key] if key in read else array.read())
-        stated = array.attributes.get(content.DIGEST)
+        digests[key] = file_format.array_sha256(read[key] if key in read else array.read())
+        stated = array.attributes.get(file_format.DIGEST)
         if not isinstance(stated, str) or stated != digests[key]:
             yield Finding(
                 f"{episode.name}/{key}",
                 "does not have the digest stored with it" if stated is not None else "has no digest",
             )
-    if not same(episode.attributes.get(content.DIGEST), content.episode_sha256(digests)):
-        yield Finding(f"{episode.name}@{content.DIGEST}", "is not the digest of the episode's arrays")
+    if not same(episode.attributes.get(file_format.DIGEST), file_format.episode_sha256(digests)):
+        yield Finding(f"{episode.name}@{file_format.DIGEST}", "is not the digest of the episode's arrays")
 
 
 def whole(
@@ -56,7 +60,7 @@ def whole(
     """
     if linked and "content_sha256" not in {**root, **metadata}:
         return
-    digest = content.dataset_sha256(episodes)
+    digest = file_format.dataset_sha256(episodes)
     for where, stated in (
         ("@content_sha256", root.get("content_sha256")),
         ("metadata.json/content_sha256", metadata.get("content_sha256")),

@@ -11,9 +11,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from imujoco_minari import content
+from imujoco_minari.envs.registration import collection_spec, environment_spec
 from imujoco_minari.errors import ImujocoError
-from imujoco_minari.importing.original import (
+from imujoco_minari.policies import SIZES
+from imujoco_minari.storage import file_format
+from imujoco_minari.variants import Variant
+from imujoco_minari.variants.original import (
     CATALOGUE,
     OriginalVariant,
     is_original,
@@ -21,11 +24,8 @@ from imujoco_minari.importing.original import (
     originals_spec,
     variant_of,
 )
-from imujoco_minari.policies import SIZES
-from imujoco_minari.registration import collection_spec, environment_spec
-from imujoco_minari.variants import Variant
+from imujoco_minari.verification.bounded_read import Episode
 from imujoco_minari.verification.findings import Finding, plain, same, shown
-from imujoco_minari.verification.looking import Episode
 from imujoco_minari.verification.replay import simulator
 
 MAX_METADATA_BYTES = 2**24
@@ -127,12 +127,12 @@ def episode(
     if variant is None:
         yield Finding(f"{name}@variant", f"is {shown(attrs.get('variant'))}, which is no variant")
         return
-    for key, value in content.attributes(variant, str(attrs.get("tier"))).items():
+    for key, value in file_format.attributes(variant, str(attrs.get("tier"))).items():
         if not same(attrs.get(key), value):
             yield Finding(f"{name}@{key}", f"is {shown(attrs.get(key))}, not {value!r}")
     if collection:
         return
-    for key in ("variant", "tier", CATALOGUE, content.REPLAYABLE):
+    for key in ("variant", "tier", CATALOGUE, file_format.REPLAYABLE):
         if not same(attrs.get(key), plain(root.get(key))):
             yield Finding(
                 f"{name}@{key}", f"is {shown(attrs.get(key))}, but the dataset's is {shown(root.get(key))}"
@@ -189,18 +189,18 @@ def _environment(
 
 def _root(root: Mapping[str, Any], metadata: Mapping[str, Any]) -> Iterator[Finding]:
     # MuJoCo takes a tenth of a second to import, and the child processes that check parts never come here.
-    from imujoco_minari.mjcf import canonical_mjcf, mjcf_sha256
+    from imujoco_minari.envs.mjcf import canonical_mjcf, mjcf_sha256
 
     try:
         variant = variant_of(root)
         text, digest = str(root["mjcf"]), plain(root["mjcf_sha256"])
     except (ImujocoError, KeyError) as error:
-        yield Finding(content.MAIN_FILE, f"lacks a true attribute of its variant: {str(error)[:120]}")
+        yield Finding(file_format.MAIN_FILE, f"lacks a true attribute of its variant: {str(error)[:120]}")
         return
-    for key, value in content.attributes(variant, str(root.get("tier"))).items():
+    for key, value in file_format.attributes(variant, str(root.get("tier"))).items():
         if not same(root.get(key), value):
             yield Finding(f"@{key}", f"is {shown(root.get(key))}, not {value!r}")
-    for key in (*content.attributes(variant, ""), CATALOGUE, content.REPLAYABLE):
+    for key in (*file_format.attributes(variant, ""), CATALOGUE, file_format.REPLAYABLE):
         if not same(metadata.get(key), plain(root.get(key))):
             yield Finding(
                 f"metadata.json/{key}",

@@ -10,10 +10,10 @@ import gymnasium as gym
 import h5py
 import numpy as np
 
-from imujoco_minari import content
-from imujoco_minari.importing.original import OriginalVariant, variant_of
-from imujoco_minari.registration import make
+from imujoco_minari.envs.registration import make
+from imujoco_minari.storage import file_format
 from imujoco_minari.variants import Variant
+from imujoco_minari.variants.original import OriginalVariant, variant_of
 from imujoco_minari.verification.findings import Finding
 
 
@@ -36,7 +36,7 @@ def replay(
         for number in episodes:
             group = file[f"episode_{number}"]
             name = str(group.attrs["variant"])
-            if group.attrs.get(content.REPLAYABLE, True):
+            if group.attrs.get(file_format.REPLAYABLE, True):
                 if name not in environments:
                     environments[name] = _environment(variant_of(group.attrs), originals)
                 yield from _replay_episode(group, f"episode_{number}", environments[name])
@@ -54,9 +54,9 @@ def _environment(variant: Variant, originals: Mapping[OriginalVariant, str]) -> 
 
 
 def _replay_episode(group: h5py.Group, name: str, env: gym.Env[Any, Any]) -> Iterator[Finding]:
-    recorded = {key: group[key][()] for key in content.ARRAYS}
+    recorded = {key: group[key][()] for key in file_format.ARRAYS}
     actions, length = recorded["actions"], len(recorded["rewards"])
-    replayed = {key: np.empty_like(recorded[key]) for key in content.ARRAYS if key != "actions"}
+    replayed = {key: np.empty_like(recorded[key]) for key in file_format.ARRAYS if key != "actions"}
     observations, rewards = replayed["observations"], replayed["rewards"]
     terminations, truncations = replayed["terminations"], replayed["truncations"]
     observations[0], _ = env.reset(seed=int(group.attrs["seed"]))

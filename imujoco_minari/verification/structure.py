@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from imujoco_minari import content
 from imujoco_minari.policies import SIZES
+from imujoco_minari.storage import file_format
+from imujoco_minari.verification.bounded_read import Episode
 from imujoco_minari.verification.findings import Finding, same, shown
-from imujoco_minari.verification.looking import Episode
 
 _KINDS = {"observations": "f", "actions": "f", "rewards": "f", "terminations": "b", "truncations": "b"}
 
@@ -23,7 +23,7 @@ def length(episode: Episode) -> int:
 
 def arrays(episode: Episode) -> Iterator[Finding]:
     """Report arrays that are missing, or whose types and shapes do not fit."""
-    missing = [key for key in content.ARRAYS if key not in episode.arrays]
+    missing = [key for key in file_format.ARRAYS if key not in episode.arrays]
     if missing:
         yield Finding(episode.name, f"has no {missing[0]}")
         return
@@ -38,7 +38,7 @@ def arrays(episode: Episode) -> Iterator[Finding]:
     }
     if sizes is not None:
         shapes = {"observations": (steps + 1, sizes[0]), "actions": (steps, sizes[1])}
-    for key in content.ARRAYS:
+    for key in file_format.ARRAYS:
         array, expected = episode.arrays[key], shapes.get(key, (steps,))
         if array.shape != expected or array.dtype.kind != _KINDS[key]:
             yield Finding(
@@ -70,7 +70,7 @@ def values(episode: Episode, number: int, read: Mapping[str, Any]) -> Iterator[F
     if not same(attrs.get("total_steps"), len(rewards)):
         yield Finding(f"{name}@total_steps", f"is {shown(attrs.get('total_steps'))}, not {len(rewards)}")
     seed = attrs.get("seed")
-    replayable = "seed" in attrs or not same(attrs.get(content.REPLAYABLE), False)
+    replayable = "seed" in attrs or not same(attrs.get(file_format.REPLAYABLE), False)
     if replayable and (not isinstance(seed, np.integer) or not 0 <= seed < 2**63):
         yield Finding(f"{name}@seed", f"is {shown(seed)}, so the episode cannot be replayed")
     for key in ("observations", "actions", "rewards"):

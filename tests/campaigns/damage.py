@@ -22,10 +22,10 @@ from pathlib import Path
 
 import h5py
 
-from imujoco_minari import content
-from imujoco_minari.combining import combine_datasets
-from imujoco_minari.joining import Joiner, NotPlainError
-from imujoco_minari.publishing import publish
+from imujoco_minari.publishing.combiner import combine_datasets
+from imujoco_minari.publishing.joining import Joiner, NotPlainError
+from imujoco_minari.publishing.publisher import publish
+from imujoco_minari.storage import file_format
 from imujoco_minari.verification import inspect
 
 SECONDS = 20
@@ -77,7 +77,7 @@ KINDS = {f.__name__: f for f in (flip, flips, extreme, zero, move, aim, cut, ins
 
 def joined(data: Path) -> list[str]:
     """Join a dataset's file, read what came of it by HDF5, and return whether it was refused."""
-    source, target = content.main_file(data), data / "joined.hdf5"
+    source, target = file_format.main_file(data), data / "joined.hdf5"
     try:
         with Joiner(target, [source.stat().st_size], 2) as joiner:
             joiner.add(source)
@@ -88,7 +88,7 @@ def joined(data: Path) -> list[str]:
         dict(file.attrs)
         for group in file.values():
             dict(group.attrs)
-            for _, array in content.arrays(group):
+            for _, array in file_format.arrays(group):
                 dict(array.attrs), array[()]
     return ["joined"]
 
@@ -147,7 +147,7 @@ def main() -> None:
         assert source.path is not None
         places = [source.path / "data", Path(linked.storage.data_path)]
         assert not any(inspect(place, replay_episodes=0) for place in places)
-        sound = {place: content.main_file(place).read_bytes() for place in places}
+        sound = {place: file_format.main_file(place).read_bytes() for place in places}
         start = time.monotonic()
         while time.monotonic() - start < options.seconds:
             place = places[0] if rng.random() < 0.85 else places[1]
@@ -156,7 +156,7 @@ def main() -> None:
             KINDS[kind](raw, rng)
             if raw == sound[place]:
                 continue
-            content.main_file(place).write_bytes(raw)
+            file_format.main_file(place).write_bytes(raw)
             trials += 1
             if place == places[0]:
                 end, found = trial(place, joined)
@@ -173,7 +173,7 @@ def main() -> None:
                 (options.keep / f"{end}-{trials}.hdf5").write_bytes(raw)
             if end == "raised" or (end == "survived" and not found):
                 failures.append(f"{kind}: {found}")
-            content.main_file(place).write_bytes(sound[place])
+            file_format.main_file(place).write_bytes(sound[place])
     print(f"{trials} damaged files")
     print("  ".join(f"{key} {value}" for key, value in sorted(ends.items())))
     print("found by the file's digest alone:", dict(quiet))

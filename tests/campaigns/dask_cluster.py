@@ -12,8 +12,8 @@ import threading
 
 from distributed import Client, LocalCluster
 
-from imujoco_minari.publishing import publish_all
-from imujoco_minari.recipes import Recipe
+from imujoco_minari.publishing.publisher import publish_all
+from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.variants import catalogue
 from imujoco_minari.verification import verify
 

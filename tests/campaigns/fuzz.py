@@ -17,14 +17,14 @@ from pathlib import Path
 import atheris
 
 with atheris.instrument_imports(include=["imujoco_minari"]):
-    from imujoco_minari import roots
+    from imujoco_minari.envs.external_mjcf import check_text
     from imujoco_minari.errors import ImujocoError
-    from imujoco_minari.importing.foreign_mjcf import check_text
-    from imujoco_minari.importing.original import OriginalVariant
     from imujoco_minari.importing.safe_unpack import open_zip, read_npz
     from imujoco_minari.policies import read_actor
-    from imujoco_minari.torch_file import TorchFile
+    from imujoco_minari.policies.torch_file import TorchFile
+    from imujoco_minari.storage import minari_root
     from imujoco_minari.variants import Variant, parse_dataset_id, parse_specification
+    from imujoco_minari.variants.original import OriginalVariant
     from imujoco_minari.verification.identity import loadable, read_metadata
 
 FOLDER = Path(tempfile.mkdtemp())
@@ -38,14 +38,14 @@ def written(name: str, data: bytes) -> Path:
 
 def ids(data: bytes) -> None:
     text = data.decode("utf-8", "surrogateescape")
-    for parse in (Variant.parse, OriginalVariant.parse, parse_dataset_id, roots.dataset_folder):
+    for parse in (Variant.parse, OriginalVariant.parse, parse_dataset_id, minari_root.dataset_folder):
         with contextlib.suppress(ImujocoError):
             parse(text)
 
 
 def dataset_ids(data: bytes) -> None:
-    folder = roots.dataset_folder(data.decode("utf-8", "surrogateescape"))
-    relative = folder.relative_to(roots.datasets_root())
+    folder = minari_root.dataset_folder(data.decode("utf-8", "surrogateescape"))
+    relative = folder.relative_to(minari_root.datasets_root())
     assert not any(part in ("..", ".", "data") or part.startswith(".") for part in relative.parts)
 
 

@@ -20,7 +20,7 @@ from typing import Any
 
 from playwright.sync_api import Browser, Page, sync_playwright
 
-from imujoco_minari.gallery import build
+from imujoco_minari.pictures.gallery import build
 from imujoco_minari.variants import Variant, catalogue
 
 FLAGS = (

@@ -23,8 +23,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from imujoco_minari import roots
 from imujoco_minari.policies import expert_actor, expert_record, policies_folder
+from imujoco_minari.storage import minari_root
 from imujoco_minari.variants import Variant
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -188,7 +188,7 @@ class Trials:
         left = [path for path in self.place.rglob(".*") if path.name != ".namespace"]
         if left and refused:
             os.environ["MINARI_DATASETS_PATH"] = str(self.place / "root")
-            roots.tidy()
+            minari_root.tidy()
             left = [path for path in left if path.exists()]
         assert not left, f"left behind: {left}"
 

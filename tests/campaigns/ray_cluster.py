@@ -19,8 +19,8 @@ from ray.cluster_utils import Cluster
 
 from imujoco_minari.errors import JobError
 from imujoco_minari.parallel import run_jobs
-from imujoco_minari.publishing import publish_all
-from imujoco_minari.recipes import Recipe
+from imujoco_minari.publishing.publisher import publish_all
+from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.variants import catalogue
 from imujoco_minari.verification import verify
 

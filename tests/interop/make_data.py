@@ -30,7 +30,7 @@ def main(folder: Path) -> None:
     """Make what is missing of ``folder``."""
     os.environ["MINARI_DATASETS_PATH"] = str(folder / "root")
     from imujoco_minari.exporting import FORMATS, export
-    from imujoco_minari.publishing import publish
+    from imujoco_minari.publishing.publisher import publish
     from imujoco_minari.variants import parse_dataset_id
 
     for dataset_id, episodes in DATASETS.items():

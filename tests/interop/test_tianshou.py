@@ -5,8 +5,8 @@ import pytest
 
 pytest.importorskip("tianshou")
 
-from imujoco_minari.adapters import to_tianshou
-from imujoco_minari.arrays import arrays
+from imujoco_minari.exporting.adapters import to_tianshou
+from imujoco_minari.loading.load import arrays
 
 
 def test_the_buffer_holds_every_step(truth):

@@ -5,8 +5,8 @@ import pytest
 
 torchrl = pytest.importorskip("torchrl")
 
-from imujoco_minari.adapters import to_tensordict, to_torchrl
-from imujoco_minari.arrays import arrays
+from imujoco_minari.exporting.adapters import to_tensordict, to_torchrl
+from imujoco_minari.loading.load import arrays
 
 
 def expected(truth):

@@ -1,0 +1,228 @@
+"""Variants as Gymnasium environments.
+
+Each class is Gymnasium's own v5 environment of the robot around the canonical model of a variant:
+observations, actions, rewards and termination are its, only the model (and, for length variants,
+the healthy height range) differs. :class:`CollectionEnv` is the environment of a combined dataset.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from functools import lru_cache
+from typing import Any
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+from gymnasium.envs.mujoco.half_cheetah_v5 import HalfCheetahEnv
+from gymnasium.envs.mujoco.hopper_v5 import HopperEnv
+from gymnasium.envs.mujoco.mujoco_env import MujocoEnv
+from gymnasium.envs.mujoco.walker2d_v5 import Walker2dEnv
+from gymnasium.utils import EzPickle
+
+from imujoco_minari.envs.robots import mjcf
+from imujoco_minari.errors import VariantError, suggestion
+from imujoco_minari.variants import Variant, specification
+
+# As arrays: NumPy takes half a microsecond to convert the same number at each call.
+_LOWEST_VELOCITY, _HIGHEST_VELOCITY = np.array(-10.0), np.array(10.0)
+
+
+@lru_cache(maxsize=4)
+def _compiled(text: str) -> Any:
+    """Compile a model once for the environments that step it side by side, each in a copy of its own."""
+    return mjcf.compile_mjcf(text)
+
+
+class VariantEnv(MujocoEnv, EzPickle):
+    """What the three robots' variant environments share.
+
+    Args:
+        variant: a variant id, as in ``hopper-massdec_25_leggeom``.
+        **kwargs: what Gymnasium's environment of the robot takes, ``render_mode`` among them.
+
+    Attributes:
+        variant: the :class:`~imujoco_minari.variants.ids.Variant`.
+        mjcf: the canonical MJCF text that the simulation runs.
+    """
+
+    def __init__(self, variant: str, **kwargs: Any) -> None:
+        self.variant = Variant.parse(variant)
+        robot = specification(self.variant.robot)
+        if robot.environment != self.robot_environment:
+            raise VariantError(f"{variant!r} is no variant of {self.robot_environment}")
+        self.mjcf = mjcf.canonical_mjcf(self.variant)
+        z_range = mjcf.healthy_z_range(self.variant)
+        defaults = {} if z_range is None else {"healthy_z_range": z_range}
+        super().__init__(**(defaults | kwargs))
+        # The parent recorded its own arguments for pickling; these make this environment again.
+        EzPickle.__init__(self, variant, **kwargs)
+
+    robot_environment: str
+    _ctrl_cost_weight: float
+    _exclude_current_positions_from_observation: bool
+
+    def _initialize_simulation(self) -> tuple[Any, Any]:
+        model = copy(_compiled(self.mjcf))
+        model.vis.global_.offwidth = max(model.vis.global_.offwidth, self.width)
+        model.vis.global_.offheight = max(model.vis.global_.offheight, self.height)
+        return model, mujoco.MjData(model)
+
+    # Gymnasium's step() spends 10 us (HalfCheetah) to 30 us (Hopper) outside MuJoCo, a third of the
+    # whole. The methods below are what it calls most, to the bit the same, and at a third of the time.
+
+    def do_simulation(self, ctrl: Any, n_frames: int) -> None:
+        """Apply an action for ``n_frames`` steps of the simulation.
+
+        Raises:
+            ValueError: when the action has not the shape of the action space.
+        """
+        if np.shape(ctrl) != self.action_space.shape:
+            raise ValueError(
+                f"Action dimension mismatch. Expected {self.action_space.shape}, found {np.shape(ctrl)}"
+            )
+        self._step_mujoco_simulation(ctrl, n_frames)  # type: ignore[no-untyped-call]
+
+    def control_cost(self, action: Any) -> Any:
+        """Return the weighted sum of the squared action."""
+        return self._ctrl_cost_weight * np.add.reduce(np.square(action), axis=None)
+
+    def _get_obs(self) -> Any:
+        position = self.data.qpos
+        if self._exclude_current_positions_from_observation:
+            position = position[1:]
+        return np.concatenate((position, self._observed_velocity()))
+
+    def _observed_velocity(self) -> Any:
+        return self.data.qvel
+
+
+class ClippedVelocity:
+    """What Hopper and Walker2d share: velocities observed within [-10, 10]."""
+
+    data: Any
+
+    def _observed_velocity(self) -> Any:
+        return np.minimum(np.maximum(self.data.qvel, _LOWEST_VELOCITY), _HIGHEST_VELOCITY)
+
+
+class HopperVariantEnv(ClippedVelocity, VariantEnv, HopperEnv):
+    """``Hopper-v5`` with the model of a variant (observation 11, action 3)."""
+
+    robot_environment = "Hopper-v5"
+
+    @property
+    def is_healthy(self) -> bool:
+        """Whether height, angle and all other state lie in their healthy ranges."""
+        position, velocity = self.data.qpos.tolist(), self.data.qvel.tolist()
+        (min_z, max_z), (min_angle, max_angle) = self._healthy_z_range, self._healthy_angle_range
+        min_state, max_state = self._healthy_state_range
+        return (
+            min_z < position[1] < max_z
+            and min_angle < position[2] < max_angle
+            and all(min_state < value < max_state for value in position[2:] + velocity)
+        )
+
+
+class HalfCheetahVariantEnv(VariantEnv, HalfCheetahEnv):
+    """``HalfCheetah-v5`` with the model of a variant (observation 17, action 6)."""
+
+    robot_environment = "HalfCheetah-v5"
+
+
+class Walker2dVariantEnv(ClippedVelocity, VariantEnv, Walker2dEnv):
+    """``Walker2d-v5`` with the model of a variant (observation 17, action 6)."""
+
+    robot_environment = "Walker2d-v5"
+
+
+ENVIRONMENTS: dict[str, type[VariantEnv]] = {
+    "hopper": HopperVariantEnv,
+    "halfcheetah": HalfCheetahVariantEnv,
+    "walker2d": Walker2dVariantEnv,
+}
+
+
+class CollectionEnv(gym.Env[Any, Any], EzPickle):
+    """One robot in many variants, one of them an episode.
+
+    ``reset(options={"variant": id})`` takes that variant, and then equals the variant's own
+    environment reset with the same seed. Without the option the seed draws the variant.
+
+    Args:
+        variants: ids of variants of one robot.
+        **kwargs: passed to each variant's environment.
+    """
+
+    metadata = {  # noqa: RUF012
+        "render_modes": ["human", "rgb_array", "depth_array", "rgbd_tuple"]
+    }
+
+    def __init__(self, variants: Sequence[str], **kwargs: Any) -> None:
+        EzPickle.__init__(self, variants, **kwargs)
+        self._begin([Variant.parse(variant) for variant in variants], kwargs)
+
+    def _begin(self, variants: Sequence[Variant], kwargs: dict[str, Any]) -> None:
+        robots = sorted({variant.robot for variant in variants})
+        if len(robots) != 1:
+            raise VariantError(
+                f"a collection holds variants of one robot, not of {', '.join(robots) or 'none'}"
+            )
+        self.variants = tuple(str(variant) for variant in variants)
+        self.render_mode = kwargs.get("render_mode")
+        self._kwargs = kwargs
+        self._environments: dict[str, VariantEnv] = {}
+        self._current = self._environment(self.variants[0])
+        self.metadata = self._current.metadata
+        self.observation_space = self._current.observation_space
+        self.action_space = self._current.action_space
+
+    @property
+    def variant(self) -> Variant:
+        """The variant of the present episode."""
+        return self._current.variant
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode, of ``options["variant"]`` if given, else of one drawn by ``seed``.
+
+        Raises:
+            VariantError: when the collection has no such variant.
+        """
+        super().reset(seed=seed)
+        name = (options or {}).get("variant")
+        if name is None:
+            name = self.variants[int(self.np_random.integers(len(self.variants)))]
+        elif name not in self.variants:
+            raise VariantError(
+                f"variant {name!r} is not in this collection{suggestion(str(name)[:80], self.variants)}; "
+                f"it has {len(self.variants)}, from {self.variants[0]} to {self.variants[-1]}"
+            )
+        if seed is None:
+            seed = int(self.np_random.integers(np.iinfo(np.int64).max))
+        self._current = self._environment(name)
+        observation, info = self._current.reset(seed=seed)
+        return observation, info | {"variant": name}
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Step the present variant's environment."""
+        return self._current.step(action)
+
+    def render(self) -> Any:
+        """Render the present variant's environment."""
+        return self._current.render()  # type: ignore[no-untyped-call]
+
+    def close(self) -> None:
+        """Close every variant's environment."""
+        for environment in self._environments.values():
+            environment.close()  # type: ignore[no-untyped-call]
+
+    def _environment(self, name: str) -> VariantEnv:
+        if name not in self._environments:
+            self._environments[name] = self._make(name)
+        return self._environments[name]
+
+    def _make(self, name: str) -> VariantEnv:
+        return ENVIRONMENTS[Variant.parse(name).robot](name, **self._kwargs)

@@ -1,0 +1,147 @@
+"""Arrays as the datasets of other libraries, in memory: Tianshou, d3rlpy, TorchRL and imitation.
+
+Each is imported when its adapter is called; none is a dependency. What a library has no place for is
+said in its adapter's docstring.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from imujoco_minari.errors import DependencyError
+from imujoco_minari.loading.load import Arrays
+
+
+def to_tianshou(data: Arrays) -> Any:
+    """Return a ``tianshou.data.ReplayBuffer`` of all steps, in order.
+
+    Nothing is lost; the batches' ``info`` is empty.
+
+    Raises:
+        DependencyError: when Tianshou is not installed.
+    """
+    try:
+        from tianshou.data import ReplayBuffer
+    except ImportError:
+        raise _missing("tianshou", "to_tianshou()") from None
+    buffer = ReplayBuffer.from_data(
+        obs=data.observations,
+        act=data.actions,
+        rew=data.rewards,
+        terminated=data.terminations,
+        truncated=data.truncations,
+        done=data.dones,
+        obs_next=data.next_observations,
+    )
+    # from_data() (2.0.1) leaves this at 0, and the first step would count as the end of an episode.
+    buffer.last_index = np.array([len(data) - 1])
+    return buffer
+
+
+def to_d3rlpy(data: Arrays) -> Any:
+    """Return a ``d3rlpy.dataset.MDPDataset`` of all episodes.
+
+    d3rlpy has no place for the observation after an episode's last step: it bootstraps from nothing at a
+    termination, and leaves the last step of a truncated episode out of its transitions.
+
+    Raises:
+        DependencyError: when d3rlpy is not installed.
+    """
+    try:
+        from d3rlpy.constants import ActionSpace
+        from d3rlpy.dataset import MDPDataset
+    except ImportError:
+        raise _missing("d3rlpy", "to_d3rlpy()") from None
+    return MDPDataset(
+        observations=data.observations,
+        actions=data.actions,
+        rewards=data.rewards.reshape(-1, 1),
+        terminals=data.terminations.astype(np.float32),
+        # d3rlpy asks for one or the other where an episode ends in both ways at once.
+        timeouts=(data.truncations & ~data.terminations).astype(np.float32),
+        action_space=ActionSpace.CONTINUOUS,
+    )
+
+
+def to_tensordict(data: Arrays) -> Any:
+    """Return a ``tensordict.TensorDict`` of N steps with TorchRL's keys; it shares the arrays' memory.
+
+    Keys: ``observation``, ``action``, ``episode``, ``variant_index``, and under ``next``:
+    ``observation``, ``reward``, ``terminated``, ``truncated``, ``done``. Nothing is lost.
+
+    Raises:
+        DependencyError: when TensorDict is not installed.
+    """
+    try:
+        import torch
+        from tensordict import TensorDict
+    except ImportError:
+        raise _missing("tensordict", "to_tensordict()") from None
+
+    def tensor(array: Any) -> Any:
+        return torch.from_numpy(array)
+
+    after = {
+        "observation": tensor(data.next_observations),
+        "reward": tensor(data.rewards).unsqueeze(-1),
+        "terminated": tensor(data.terminations).unsqueeze(-1),
+        "truncated": tensor(data.truncations).unsqueeze(-1),
+        "done": tensor(data.dones).unsqueeze(-1),
+    }
+    steps = {
+        "observation": tensor(data.observations),
+        "action": tensor(data.actions),
+        "episode": tensor(np.repeat(np.arange(data.episodes), data.episode_lengths)),
+        "variant_index": tensor(data.variant_index),
+        "next": TensorDict(after, batch_size=[len(data)]),
+    }
+    return TensorDict(steps, batch_size=[len(data)])
+
+
+def to_torchrl(data: Arrays, *, batch_size: int = 256) -> Any:
+    """Return a ``torchrl.data.TensorDictReplayBuffer`` of all steps, in order.
+
+    TorchRL's own ``MinariExperienceReplay`` (0.14) gives zeros for a local dataset; this does not go
+    through it. Nothing is lost.
+
+    Raises:
+        DependencyError: when TorchRL is not installed.
+    """
+    try:
+        from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+    except ImportError:
+        raise _missing("torchrl", "to_torchrl()") from None
+    buffer = TensorDictReplayBuffer(storage=LazyTensorStorage(len(data)), batch_size=batch_size)
+    buffer.extend(to_tensordict(data))
+    return buffer
+
+
+def to_imitation(data: Arrays) -> list[Any]:
+    """Return a list of ``imitation.data.types.TrajectoryWithRew``, one an episode.
+
+    Each says whether its episode was terminated; nothing is lost but that it was truncated otherwise.
+
+    Raises:
+        DependencyError: when imitation is not installed.
+    """
+    try:
+        from imitation.data.types import TrajectoryWithRew
+    except ImportError:
+        raise _missing("imitation", "to_imitation()") from None
+    return [
+        TrajectoryWithRew(
+            obs=episode.observations,
+            acts=episode.actions,
+            infos=None,
+            terminal=episode.terminated,
+            rews=episode.rewards,
+        )
+        for episode in data.trajectories()
+    ]
+
+
+def _missing(package: str, purpose: str) -> DependencyError:
+    # No extra of this package: the versions that some of these pin cannot live beside its own.
+    return DependencyError(f"{purpose} needs {package}, which is not installed: run `pip install {package}`")

@@ -1,0 +1,287 @@
+"""Other people's data of the three robots, as a tier of a variant: Minari, D4RL's HDF5, ``.npz``.
+
+A source is read as plain arrays. Nothing in it is unpickled or executed, its environment is not made,
+and links to other files are not followed.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from imujoco_minari.envs.mjcf import canonical_mjcf
+from imujoco_minari.envs.registration import environment_spec
+from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError
+from imujoco_minari.importing.columns import ARRAY, read_table
+from imujoco_minari.importing.physics import Fidelity, Physics
+from imujoco_minari.importing.safe_unpack import MAX_ENTRY_BYTES, Array, one_of, read_npz
+from imujoco_minari.importing.transitions import Transitions, checked, cut, episodes, fidelity
+from imujoco_minari.policies.references import reference_scores
+from imujoco_minari.publishing.publisher import External, Published, publish_episodes
+from imujoco_minari.storage import file_format, minari_root
+from imujoco_minari.variants import Variant
+from imujoco_minari.verification.child_process import survives_walk
+
+_MAX_METADATA_BYTES = 2**24
+# The names by which flat files go, D4RL's first.
+_NAMES = {
+    "observations": ("observations", "observation", "obs", "states"),
+    "actions": ("actions", "action", "acts", "act"),
+    "rewards": ("rewards", "reward", "rews"),
+    "next_observations": ("next_observations", "next_obs", "next_states"),
+    "terminated": ("terminals", "terminations", "terminated"),
+    "truncated": ("timeouts", "truncations", "truncated"),
+    "ends": ("dones", "done"),
+}
+
+
+@dataclass(frozen=True)
+class Source:
+    """What was read of a source.
+
+    Attributes:
+        kind: what it is, for the description.
+        transitions: its steps.
+        columns: how its table was read; empty where its arrays have names.
+        algorithm: the algorithm that it states; empty when it states none.
+        authors: the authors that it states.
+    """
+
+    kind: str
+    transitions: Transitions
+    columns: str = ""
+    algorithm: str = ""
+    authors: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Imported:
+    """What became of an import, and how far its steps are from the variant's simulation."""
+
+    published: Published
+    one_step: Fidelity
+    notes: tuple[str, ...]
+
+
+def import_dataset(
+    source: str, variant: Variant, tier: str, *, columns: str | None = None, force: bool = False
+) -> Imported:
+    """Publish data from elsewhere as a tier of one of our variants.
+
+    Args:
+        source: a Minari dataset's id or folder, or an HDF5 (D4RL's layout) or ``.npz`` file.
+        variant: the variant whose data they are said to be.
+        tier: under which they are published.
+        columns: the columns of the file's table, where it is one and the user states them.
+        force: replace a dataset that has the id.
+
+    Raises:
+        ImujocoError: when the source is missing, is not what it must be, or does not fit the robot.
+    """
+    dataset_id = variant.dataset_id(tier)
+    read = read_source(source, variant.robot, columns)
+    spec = environment_spec(variant)
+    with Physics(spec) as physics:
+        found = cut(read.transitions, physics)
+        near = fidelity(read.transitions, found, physics)
+        metadata = {
+            "algorithm_name": read.algorithm or "unknown",
+            "author": set(read.authors) or {"unknown"},
+            "code_permalink": f"imujoco-minari=={version('imujoco-minari')}",
+            "description": " ".join(
+                (
+                    f"Imported {read.kind}, {Path(source).name[:100]}, as the tier {tier} of {variant}: "
+                    f"{len(found.bounds)} episodes, {len(read.transitions)} steps. "
+                    "No seeds are known that would replay them in this variant's environment.",
+                    *found.notes,
+                )
+            ),
+            "source": Path(source).name[:200],
+            "one_step_difference": near.asdict(),
+            "requirements": [f"{name}=={version(name)}" for name in ("mujoco", "gymnasium")],
+            "versions": {name: version(name) for name in ("imujoco-minari", "mujoco", "gymnasium", "minari")},
+            **({"source_columns": read.columns} if read.columns else {}),
+            **reference_scores(variant),
+        }
+        attributes = file_format.attributes(variant, tier) | {file_format.REPLAYABLE: False}
+        external = External(dataset_id, attributes, spec, canonical_mjcf(variant), metadata)
+        published = publish_episodes(external, episodes(read.transitions, found, physics), force=force)
+    return Imported(published, near, found.notes)
+
+
+def read_source(source: str, robot: str, columns: str | None = None) -> Source:
+    """Return the steps of a source that :func:`import_dataset` takes.
+
+    Raises:
+        ImujocoError: when it is missing, is not what it must be, or does not fit the robot.
+    """
+    path = Path(source)
+    if path.is_dir():
+        return _minari(path, robot)
+    if path.is_file():
+        if path.suffix == ".npz":
+            return _npz(path, robot, columns)
+        if h5py.is_hdf5(path):
+            return _d4rl(path, robot)
+        raise DatasetError(
+            f"{source}: neither .npz nor HDF5; valid: a Minari dataset, a D4RL HDF5 file, an .npz file"
+        )
+    try:
+        folder = minari_root.dataset_folder(source)
+    except ImujocoError:
+        raise DatasetNotFoundError(f"{source[:200]}: no such file, folder or dataset") from None
+    if not folder.is_dir():
+        raise DatasetNotFoundError(
+            f"{source} is neither a file nor in the Minari root, at {folder}; "
+            f"`minari download {source}` fetches a dataset of Minari's"
+        )
+    return _minari(folder, robot)
+
+
+def _npz(path: Path, robot: str, columns: str | None) -> Source:
+    arrays = read_npz(path)
+    if ARRAY in arrays:
+        transitions, layout, _ = read_table(arrays[ARRAY], robot, str(path), columns)
+        return Source("an .npz table", transitions, str(layout))
+    return Source("an .npz file", checked(_flat(arrays, str(path)), robot, str(path)))
+
+
+def _d4rl(path: Path, robot: str) -> Source:
+    with _opened(path) as file:
+        arrays = {
+            name: _array(file, name, str(path)) for names in _NAMES.values() for name in names if name in file
+        }
+        if not arrays and "episode_0" in file:
+            raise DatasetError(f"{path}: is a Minari dataset's file: give the dataset's folder, or its id")
+    return Source("a D4RL HDF5 file", checked(_flat(arrays, str(path)), robot, str(path)))
+
+
+def _flat(arrays: Mapping[str, Array], name: str) -> Transitions:
+    """Return the transitions of arrays of one length, whatever they are called."""
+    found = {key: one_of(arrays, *names) for key, names in _NAMES.items()}
+    observations, actions = found["observations"], found["actions"]
+    if observations is None or actions is None:
+        seen = ", ".join(sorted(arrays))[:200] or "no array of a known name"
+        raise DatasetError(f"{name}: has no observations and actions, but {seen}")
+    flags = [array for key in ("terminated", "truncated", "ends") if (array := found[key]) is not None]
+    if not flags:
+        raise DatasetError(f"{name}: nothing says where episodes end; valid: terminals, timeouts, dones")
+    if any(array.shape != flags[0].shape for array in flags) or flags[0].shape != (len(observations),):
+        raise DatasetError(
+            f"{name}: flags of shapes {[array.shape for array in flags]} for {len(observations)} steps"
+        )
+    return Transitions(
+        observations,
+        actions,
+        np.any(flags, axis=0),
+        found["terminated"],
+        found["truncated"],
+        found["rewards"],
+        found["next_observations"],
+    )
+
+
+def _minari(folder: Path, robot: str) -> Source:
+    data = folder / "data" if (folder / "data").is_dir() else folder
+    path = file_format.main_file(data)
+    if not path.is_file():
+        raise DatasetError(f"{folder}: holds no Minari dataset in HDF5, no {file_format.MAIN_FILE}")
+    metadata = _metadata(data)
+    parts = []
+    with _opened(path) as file:
+        for number in range(len(file)):
+            name = f"episode_{number}"
+            group = file.get(name) if isinstance(file.get(name, getlink=True), h5py.HardLink) else None
+            if not isinstance(group, h5py.Group):
+                raise DatasetError(f"{folder}: {name} is missing, or lies in another file")
+            parts.append(_episode(group, f"{folder}: {name}", robot))
+    if not parts:
+        raise DatasetError(f"{folder}: holds no episode")
+    joined = {
+        key: np.concatenate([getattr(part, key) for part in parts])
+        for key in (
+            "observations",
+            "actions",
+            "ends",
+            "terminated",
+            "truncated",
+            "rewards",
+            "next_observations",
+        )
+    }
+    authors = metadata.get("author")
+    return Source(
+        "a Minari dataset",
+        checked(Transitions(**joined), robot, str(folder)),
+        algorithm=str(metadata.get("algorithm_name") or "")[:100],
+        authors=tuple(str(author)[:100] for author in authors[:20]) if isinstance(authors, list) else (),
+    )
+
+
+def _episode(group: h5py.Group, name: str, robot: str) -> Transitions:
+    arrays = {key: _array(group, key, name) for key in file_format.ARRAYS}
+    observations, length = arrays["observations"], len(arrays["rewards"])
+    if len(observations) != length + 1 or not length:
+        raise DatasetError(f"{name}: has {len(observations)} observations for {length} steps, not one more")
+    ends = np.zeros(length, bool)
+    ends[-1] = True
+    return checked(
+        Transitions(
+            observations[:-1],
+            arrays["actions"],
+            ends,
+            arrays["terminations"],
+            arrays["truncations"],
+            arrays["rewards"],
+            observations[1:],
+        ),
+        robot,
+        name,
+    )
+
+
+def _metadata(data: Path) -> dict[str, Any]:
+    """Return what a dataset's ``metadata.json`` says; it is only quoted, so an unreadable one is empty."""
+    path = data / "metadata.json"
+    try:
+        if path.stat().st_size > _MAX_METADATA_BYTES:
+            return {}
+        metadata = json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return metadata if isinstance(metadata, dict) else {}
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[h5py.File]:
+    if finding := survives_walk(path):
+        raise DatasetError(f"{path}: {finding.what}")
+    try:
+        with h5py.File(path, "r") as file:
+            yield file
+    except ImujocoError:
+        raise
+    except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:
+        raise DatasetError(f"{path}: cannot be read as HDF5: {' '.join(str(error).split())[:200]}") from None
+
+
+def _array(group: h5py.Group, name: str, where: str) -> Array:
+    """Return one array of an HDF5 group, looked at before it is read."""
+    array = group.get(name) if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
+    if not isinstance(array, h5py.Dataset):
+        raise DatasetError(f"{where}: {name} is no array here")
+    if array.is_virtual or array.external:
+        raise DatasetError(f"{where}: {name} takes its values from another file")
+    if array.shape is None or array.dtype.kind not in "fiub":
+        raise DatasetError(f"{where}: {name} holds {str(array.dtype)[:40]}, not numbers")
+    if array.nbytes > MAX_ENTRY_BYTES:
+        raise DatasetError(f"{where}: {name} claims {array.nbytes} bytes; the limit is {MAX_ENTRY_BYTES}")
+    return np.asarray(array[()])

@@ -1,0 +1,11 @@
+"""A static website of the variants: pictures, numbers, returns, and the code that loads them.
+
+:mod:`~imujoco_minari.pictures.gallery.entries` gathers what is known of a variant, ``clips`` draws it,
+``pages`` writes it as HTML, and ``builder`` makes the site of it.
+"""
+
+from __future__ import annotations
+
+from imujoco_minari.pictures.gallery.builder import Built, build
+
+__all__ = ["Built", "build"]

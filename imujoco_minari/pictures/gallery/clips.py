@@ -1,0 +1,150 @@
+"""The gallery's pictures: a short clip and a portrait of each variant, drawn once and kept.
+
+What was drawn is noted with a digest of all that decides it (model, policy, size, seconds); a later
+run draws only what has changed, and needs no OpenGL when nothing has.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from imujoco_minari.envs.mjcf import canonical_mjcf, compile_mjcf, mjcf_sha256
+from imujoco_minari.errors import PolicyNotFoundError
+from imujoco_minari.pictures.gallery.entries import RANDOM, Clip
+from imujoco_minari.pictures.rendering.files import write_picture, write_video
+from imujoco_minari.pictures.rendering.film import frames, pace
+from imujoco_minari.pictures.rendering.framing import Capsules, capsules, follow
+from imujoco_minari.pictures.rendering.motion import Motion, perform
+from imujoco_minari.pictures.rendering.portraits import stance
+from imujoco_minari.pictures.rendering.studio import Studio
+from imujoco_minari.policies import Policy, load_policy
+from imujoco_minari.variants import EXPERT, Variant, catalogue
+
+SIZE = (320, 240)
+SECONDS, FRAMES_PER_SECOND, QUALITY = 4.0, 20.0, 30
+# An episode that ends at once would flicker in a loop; its end stands for a second.
+REST_SECONDS = 1.0
+# Goes up when pictures of the same variant come to look different.
+STYLE = 2
+
+
+class ClipMaker:
+    """Draws clips and portraits into the folder of a site; use it as a context manager.
+
+    Args:
+        folder: the site's folder.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._studio: Studio | None = None
+
+    def __enter__(self) -> ClipMaker:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._studio is not None:
+            self._studio.close()
+
+    def draw(self, variant: Variant, known: Mapping[str, Any]) -> tuple[Clip, str, bool]:
+        """Draw a variant's clip and portrait unless what is ``known`` shows that they are there.
+
+        Args:
+            variant: which variant.
+            known: ``key`` and ``clip`` of what an earlier run drew, or nothing.
+
+        Returns:
+            What the clip shows, its key, and whether anything was drawn.
+
+        Raises:
+            RenderingError: when there is no OpenGL to draw with.
+            StorageError: when a file cannot be written.
+            PolicyError: when the variant's policy cannot be read.
+        """
+        policy, tier = choose_policy(variant)
+        key = clip_key(variant, policy)
+        clip_path, portrait_path = clip_file(self._folder, variant), portrait_file(self._folder, variant)
+        if known.get("key") == key and clip_path.is_file() and portrait_path.is_file():
+            return Clip(**known["clip"]), key, False
+        motion = perform(variant, policy, seconds=SECONDS)
+        self._write_clip(motion, clip_path)
+        self._write_portrait(variant, portrait_path)
+        return Clip(tier, motion.duration, motion.total, motion.terminated), key, True
+
+    @property
+    def studio(self) -> Studio:
+        """The renderer, made when it is first needed."""
+        if self._studio is None:
+            self._studio = Studio(*SIZE, fine=False)
+        return self._studio
+
+    def _write_clip(self, motion: Motion, path: Path) -> None:
+        tempo = pace([motion], FRAMES_PER_SECOND)
+        last = len(motion.rewards)
+        rest = round(REST_SECONDS / motion.timestep) if motion.terminated else 0
+        steps = range(0, last + rest + 1, tempo.stride)
+        write_video(
+            path,
+            frames([motion], self.studio, steps, captions=False),
+            tempo.per_second,
+            quality=QUALITY,
+        )
+
+    def _write_portrait(self, variant: Variant, path: Path) -> None:
+        # Seen with the longest of its kin, each is seen from the same distance, whatever else is drawn.
+        seen = [_standing(variant), *(_standing(each) for each in catalogue(variant.robot, "length"))]
+        camera = follow(seen, self.studio.aspect, 1.0)[0]
+        shot = next(self.studio.shoot(variant, [stance(variant)], camera))
+        write_picture(path, Image.fromarray(np.ascontiguousarray(shot)))
+
+
+@cache
+def _standing(variant: Variant) -> Capsules:
+    """Return the capsules of a variant in its stance."""
+    return capsules(compile_mjcf(canonical_mjcf(variant)), stance(variant)[None])
+
+
+def choose_policy(variant: Variant) -> tuple[Policy, str]:
+    """Return the policy that a variant's clip shows, and its tier: the expert, or failing that random."""
+    try:
+        return load_policy(variant), EXPERT
+    except PolicyNotFoundError:
+        return load_policy(variant, tier=RANDOM), RANDOM
+
+
+def clip_key(variant: Variant, policy: Policy) -> str:
+    """Return the digest of all that decides how a variant's pictures look."""
+    parts = (
+        STYLE,
+        SIZE,
+        SECONDS,
+        FRAMES_PER_SECOND,
+        QUALITY,
+        REST_SECONDS,
+        mjcf_sha256(canonical_mjcf(variant)),
+        policy.sha256,
+    )
+    return hashlib.sha256(repr(parts).encode()).hexdigest()
+
+
+def clip_file(folder: Path, variant: Variant) -> Path:
+    """Return where a variant's clip lies in the site."""
+    return folder / "clips" / f"{variant}.mp4"
+
+
+def portrait_file(folder: Path, variant: Variant) -> Path:
+    """Return where a variant's portrait lies in the site."""
+    return folder / "portraits" / f"{variant}.webp"

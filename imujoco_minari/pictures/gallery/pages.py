@@ -1,0 +1,280 @@
+"""The gallery's entries as HTML. Every text is escaped here; nothing is fetched from anywhere else."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from html import escape
+from importlib import resources
+from string import Template
+
+from imujoco_minari import __version__
+from imujoco_minari.envs.differences import Difference
+from imujoco_minari.pictures.gallery.clips import SIZE
+from imujoco_minari.pictures.gallery.entries import RANDOM, Entry, Score
+from imujoco_minari.variants import BASE, CATEGORIES, EXPERT, ROBOTS, Variant, specification
+
+MINUS, DASH, SPACE = "\N{MINUS SIGN}", "\N{EN DASH}", "\N{NO-BREAK SPACE}"
+ROBOT_NAMES = {"hopper": "Hopper", "halfcheetah": "HalfCheetah", "walker2d": "Walker2d"}
+WHAT = {
+    "mass": "mass",
+    "joint": "range of motion",
+    "length": "length",
+    "friction": "friction on the floor",
+}
+
+
+def index_page(entries: Sequence[Entry]) -> str:
+    """Return the first page: all variants, and what filters and sorts them."""
+    variants = [entry.variant for entry in entries]
+    changed = sum(variant.category != BASE for variant in variants)
+    experts = sum(entry.best.tier == EXPERT for entry in entries)
+    return _template("index.html").substitute(
+        count=len(entries),
+        changed=_plural(changed, "variant"),
+        bases=_plural(len(entries) - changed, "base robot"),
+        experts=experts,
+        version=escape(__version__),
+        robots=_options((robot, ROBOT_NAMES[robot]) for robot in ROBOTS),
+        categories=_options((name, name) for name in (*CATEGORIES, BASE)),
+        bodies=_options((name, name) for name in sorted({v.body for v in variants if v.body})),
+        percents=_options(
+            (str(percent), _percent(percent))
+            for percent in sorted({v.percent for v in variants if v.percent})
+        ),
+        cards="\n".join(_card(entry, number) for number, entry in enumerate(entries)),
+    )
+
+
+def variant_page(entry: Entry, base: Entry | None, neighbours: tuple[Variant | None, Variant | None]) -> str:
+    """Return the page of one variant.
+
+    Args:
+        entry: what is known of it.
+        base: what is known of its base robot, whose clip and returns stand beside its own.
+        neighbours: the variants whose pages come before and after.
+    """
+    variant = entry.variant
+    is_base = variant.category == BASE
+    figures = [_figure(entry, "as changed" if not is_base else "unchanged")]
+    if base is not None and not is_base:
+        figures.insert(0, _figure(base, "base robot"))
+    return _template("variant.html").substitute(
+        name=escape(str(variant)),
+        summary=escape(summary(variant)),
+        version=escape(__version__),
+        category=escape(variant.category),
+        figures="\n".join(figures),
+        both='<p><button type="button" class="button" id="both">Play both from the start</button></p>'
+        if len(figures) > 1
+        else "",
+        changes=_changes_table(entry.changes),
+        scores=_scores_table(entry, base),
+        code="\n".join(_code(title, text, language) for title, text, language in snippets(entry)),
+        previous=_neighbour(neighbours[0], "prev", "Previous"),
+        next=_neighbour(neighbours[1], "next", "Next"),
+    )
+
+
+def summary(variant: Variant) -> str:
+    """Return in one sentence what a variant is."""
+    robot = f"{ROBOT_NAMES[variant.robot]} ({specification(variant.robot).environment})"
+    if variant.category == BASE:
+        return f"{robot}, unchanged: the robot that all its variants are compared with."
+    names = " and ".join(variant.mjcf_names)
+    return f"{robot} with the {WHAT[variant.category]} of {names} changed by {_percent(variant.percent)}."
+
+
+def snippets(entry: Entry) -> list[tuple[str, str, str]]:
+    """Return title, text and language of the lines that publish, load and run a variant."""
+    variant, tier = entry.variant, entry.clip.tier
+    dataset = variant.dataset_id(tier)
+    option = "" if tier == EXPERT else f" --tier {tier}"
+    policy = f'"{variant}"' if tier == EXPERT else f'"{variant}", tier="{tier}"'
+    return [
+        ("Publish its dataset here", f"imujoco publish {variant}{option}", "shell"),
+        (
+            "Load the dataset",
+            f'import minari\n\ndataset = minari.load_dataset("{dataset}")\n'
+            "episodes = dataset.sample_episodes(5)",
+            "Python",
+        ),
+        (
+            "Run the environment with the policy",
+            "import gymnasium\nimport numpy as np\n\nimport imujoco_minari\n\n"
+            f'env = gymnasium.make("{variant.environment_id}")\n'
+            f"policy = imujoco_minari.load_policy({policy})\n"
+            "rng = np.random.default_rng(0)\n"
+            "observation, info = env.reset(seed=0)\n"
+            "observation, reward, *flags = env.step(policy.act(observation, rng))",
+            "Python",
+        ),
+    ]
+
+
+def _card(entry: Entry, number: int) -> str:
+    variant, best = entry.variant, entry.best
+    words = (
+        " ".join(
+            (str(variant), ROBOT_NAMES[variant.robot], variant.category, *variant.mjcf_names, short(variant))
+        )
+        .lower()
+        .replace(SPACE, " ")
+    )
+    return (
+        f'<li class="card" data-robot="{variant.robot}" data-category="{variant.category}" '
+        f'data-body="{escape(variant.body)}" data-percent="{variant.percent or ""}" '
+        f'data-return="{best.return_mean:.6g}" data-order="{number}" data-words="{escape(words)}">'
+        f'<a href="variants/{variant}.html">'
+        f'<img src="portraits/{variant}.webp" width="{SIZE[0]}" height="{SIZE[1]}" loading="lazy" alt="">'
+        f'<span class="name">{_breakable(variant)}</span></a>'
+        f'<p class="what {variant.category}">{escape(short(variant))}</p>'
+        f'<p class="score"><span class="tier">{escape(best.tier)}</span> {_number(best.return_mean)}</p></li>'
+    )
+
+
+def short(variant: Variant) -> str:
+    """Return what a variant changes, in as few words as will do."""
+    if variant.category == BASE:
+        return "unchanged"
+    what = "range" if variant.category == "joint" else variant.category
+    return f"{what} of {variant.body} {_percent(variant.percent)}"
+
+
+def _figure(entry: Entry, label: str) -> str:
+    variant, clip = entry.variant, entry.clip
+    moved_by = "its expert policy" if clip.tier == EXPERT else "random actions"
+    ending = (
+        f"it leaves its healthy range after {clip.seconds:.2f} s, which ends the episode"
+        if clip.ended
+        else f"the first {clip.seconds:.0f} s"
+    )
+    missing = "" if clip.tier == EXPERT else " No expert policy is there for it yet."
+    words = f"Moved by {moved_by}: {ending}, return {_number(clip.total)}.{missing}"
+    return (
+        f'<figure><video controls muted loop playsinline preload="metadata" width="{SIZE[0]}" '
+        f'height="{SIZE[1]}" poster="../portraits/{variant}.webp" '
+        f'aria-label="{escape(f"{variant}, {label}. {words}")}">'
+        f'<source src="../clips/{variant}.mp4" type="video/mp4">'
+        f'<a href="../clips/{variant}.mp4">The clip, an MP4 file</a></video>'
+        f"<figcaption><strong>{escape(str(variant))}</strong>, {escape(label)}. {escape(words)}"
+        "</figcaption></figure>"
+    )
+
+
+def _changes_table(changes: Sequence[Difference]) -> str:
+    if not changes:
+        return "<p>Nothing: this is the robot of Gymnasium&rsquo;s v5 environment.</p>"
+    rows = (
+        (
+            escape(change.quantity),
+            _significant(change.before),
+            _significant(change.after),
+            escape("" if change.unit == "1" else change.unit),
+            _percent_of(change),
+        )
+        for change in changes
+    )
+    return _table("What changes, before and after", ("Quantity", "Base", "Variant", "Unit", "Change"), rows)
+
+
+def _scores_table(entry: Entry, base: Entry | None) -> str:
+    of_base = {score.tier: score for score in base.scores} if base is not None else {}
+    rows = (_score_row(entry.variant, score, of_base.get(score.tier)) for score in entry.scores)
+    columns = (
+        "Tier",
+        "Return",
+        "Base robot&rsquo;s",
+        "Episode length",
+        "Episodes",
+        "Policy",
+        "From",
+        "Dataset",
+    )
+    return _table("Policies and returns", columns, rows, text=("Policy", "From", "Dataset"))
+
+
+def _score_row(variant: Variant, score: Score, base: Score | None) -> tuple[str, ...]:
+    return (
+        escape(score.tier),
+        f"{_number(score.return_mean)} ± {_number(score.return_std)}",
+        DASH if base is None else _number(base.return_mean),
+        f"{score.length_mean:.0f} steps",
+        str(score.episodes),
+        escape(score.algorithm if score.tier != RANDOM else "uniform actions"),
+        escape(score.origin),
+        f"<code>{escape(variant.dataset_id(score.tier))}</code>",
+    )
+
+
+def _table(
+    caption: str, columns: Sequence[str], rows: Iterable[Sequence[str]], text: Sequence[str] = ("Unit",)
+) -> str:
+    """Return an HTML table; the first column heads its rows, the others are numbers but for ``text``."""
+
+    def kind(column: str) -> str:
+        return "" if column in text else ' class="number"'
+
+    head = "".join(
+        f'<th scope="col"{kind(column) if position else ""}>{column}</th>'
+        for position, column in enumerate(columns)
+    )
+    body = "\n".join(
+        "<tr>"
+        + f'<th scope="row">{row[0]}</th>'
+        + "".join(f"<td{kind(column)}>{cell}</td>" for column, cell in zip(columns[1:], row[1:], strict=True))
+        + "</tr>"
+        for row in rows
+    )
+    return (
+        f'<div class="scroll" tabindex="0" role="region" aria-label="{caption}"><table>'
+        f"<caption>{caption}</caption>"
+        f"<thead><tr>{head}</tr></thead>\n<tbody>{body}</tbody></table></div>"
+    )
+
+
+def _code(title: str, text: str, language: str) -> str:
+    return (
+        f'<section class="code"><h3>{escape(title)} <span class="language">{escape(language)}</span></h3>'
+        f'<button type="button" class="button copy" aria-label="Copy: {escape(title)}">Copy</button>'
+        f'<pre tabindex="0"><code>{escape(text)}</code></pre></section>'
+    )
+
+
+def _neighbour(variant: Variant | None, relation: str, label: str) -> str:
+    if variant is None:
+        return "<span></span>"
+    return f'<a rel="{relation}" href="{variant}.html">{label}: {variant}</a>'
+
+
+def _options(values: Iterable[tuple[str, str]]) -> str:
+    return "".join(f'<option value="{escape(value)}">{escape(label)}</option>' for value, label in values)
+
+
+def _plural(count: int, noun: str) -> str:
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def _breakable(variant: Variant) -> str:
+    """Return an id that may break over lines where its parts meet."""
+    return escape(str(variant)).replace("-", "-<wbr>").replace("_", "_<wbr>")
+
+
+def _percent(percent: float) -> str:
+    return f"{percent:+.4g}{SPACE}%".replace("-", MINUS)
+
+
+def _percent_of(change: Difference) -> str:
+    return DASH if change.before == 0 else _percent(100 * (change.after / change.before - 1))
+
+
+def _number(value: float) -> str:
+    digits = 0 if abs(value) >= 100 else 1
+    return f"{value:,.{digits}f}".replace("-", MINUS)
+
+
+def _significant(value: float) -> str:
+    return f"{value:.5g}".replace("-", MINUS)
+
+
+def _template(name: str) -> Template:
+    return Template((resources.files("imujoco_minari.pictures.gallery") / "site" / name).read_text("utf-8"))

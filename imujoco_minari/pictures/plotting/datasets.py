@@ -1,0 +1,220 @@
+"""Figures of datasets beside the base robot's: returns, episode lengths, actions, observations.
+
+One figure answers one question. The base robot's dataset of the same tier is the grey in each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imujoco_minari.errors import DatasetError
+from imujoco_minari.loading.load import Arrays, arrays
+from imujoco_minari.pictures.plotting.quantities import Quantity, action_quantities, observation_quantities
+from imujoco_minari.pictures.plotting.style import (
+    BASE_EDGE,
+    BASE_FILL,
+    line_style,
+    new_figure,
+    save,
+    settings,
+)
+from imujoco_minari.storage import minari_root
+from imujoco_minari.variants import BASE, Variant
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[Any]
+
+BINS = 60
+# Bins reach from the one to the other percentile: a fall's few extremes would flatten all the rest.
+PERCENTILES = (0.1, 99.9)
+COLUMNS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """One dataset as it is drawn.
+
+    Attributes:
+        label: its id without namespace and version.
+        robot: which robot it is of.
+        tiers: of its episodes.
+        is_base: whether it is the unperturbed robot's.
+        data: its arrays.
+    """
+
+    label: str
+    robot: str
+    tiers: tuple[str, ...]
+    is_base: bool
+    data: Arrays
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """One figure: the name of its files and what draws it."""
+
+    name: str
+    draw: Callable[[Sequence[Series]], Figure]
+
+
+def load_series(dataset_id: str) -> Series:
+    """Load a dataset for drawing.
+
+    Raises:
+        DatasetNotFoundError: when the root holds no such dataset.
+        DatasetError: when its episodes are not of one robot of this package.
+    """
+    data = arrays(dataset_id, dtype=np.float32)
+    robots = sorted({origin.robot for origin in data.table})
+    if len(robots) != 1 or not robots[0]:
+        raise DatasetError(f"{dataset_id}: only episodes of one robot can be drawn, not of {robots}")
+    return Series(
+        dataset_id.rpartition("/")[2].rpartition("-v")[0],
+        robots[0],
+        tuple(sorted({origin.tier for origin in data.table})),
+        all(origin.category == BASE for origin in data.table),
+        data,
+    )
+
+
+def with_bases(series: Sequence[Series]) -> tuple[list[Series], list[str]]:
+    """Return the series after those of their base robots, and the ids of bases that are not published."""
+    wanted = dict.fromkeys(
+        Variant(one.robot, BASE, 0, "").dataset_id(tier)
+        for one in series
+        if not one.is_base
+        for tier in one.tiers
+    )
+    labels = {one.label for one in series}
+    bases = [name for name in wanted if name.rpartition("/")[2].rpartition("-v")[0] not in labels]
+    found = [load_series(name) for name in bases if minari_root.exists(name)]
+    ordered = sorted([*found, *series], key=lambda one: not one.is_base)
+    return ordered, [name for name in bases if not minari_root.exists(name)]
+
+
+def plot_datasets(
+    series: Sequence[Series], folder: Path, on_figure: Callable[[], None] | None = None
+) -> list[Path]:
+    """Draw every figure of datasets of one robot into ``folder`` and return the files.
+
+    Raises:
+        DatasetError: when they are of several robots.
+        DependencyError: when matplotlib is not installed.
+    """
+    robots = sorted({one.robot for one in series})
+    if len(robots) != 1:
+        raise DatasetError(
+            f"plots compare datasets of one robot, not of {' and '.join(robots)}: plot them apart"
+        )
+    files = []
+    for question in QUESTIONS:
+        files += save(question.draw(series), folder / question.name)
+        if on_figure is not None:
+            on_figure()
+    return files
+
+
+def draw_returns(series: Sequence[Series]) -> Figure:
+    """Draw what each dataset scores, a dot an episode."""
+    values = [one.data.returns for one in series]
+    return _rows(series, values, "What do the episodes score?", "undiscounted return of an episode (reward)")
+
+
+def draw_lengths(series: Sequence[Series]) -> Figure:
+    """Draw how long each dataset's episodes are, a dot an episode."""
+    values = [one.data.episode_lengths for one in series]
+    return _rows(series, values, "How long are the episodes?", "length of an episode (steps)")
+
+
+def draw_actions(series: Sequence[Series]) -> Figure:
+    """Draw how each action is distributed over all steps."""
+    columns = [one.data.actions for one in series]
+    return _distributions(series, columns, action_quantities(series[0].robot), "How do the policies act?")
+
+
+def draw_observations(series: Sequence[Series]) -> Figure:
+    """Draw how each observation is distributed over all steps."""
+    columns = [one.data.observations for one in series]
+    title = "Which states do the robots visit?"
+    return _distributions(series, columns, observation_quantities(series[0].robot), title)
+
+
+QUESTIONS = (
+    Question("returns", draw_returns),
+    Question("lengths", draw_lengths),
+    Question("actions", draw_actions),
+    Question("observations", draw_observations),
+)
+
+
+def _rows(series: Sequence[Series], values: Sequence[Array], title: str, unit: str) -> Figure:
+    """Draw a row of dots a dataset, with its median and its quartiles."""
+    figure = new_figure(8.0, 1.3 + 0.36 * len(series), title)
+    with settings():
+        axes = figure.subplots()
+        rng = np.random.default_rng(0)
+        number = 0
+        for row, (one, numbers) in enumerate(zip(series, values, strict=True)):
+            colour = BASE_EDGE if one.is_base else line_style(number)["color"]
+            number += not one.is_base
+            height = row + rng.uniform(-0.22, 0.22, len(numbers))
+            axes.plot(numbers, height, ".", color=colour, alpha=0.45, markersize=4, markeredgewidth=0)
+            low, middle, high = np.percentile(numbers, (25, 50, 75))
+            axes.plot((low, high), (row, row), color=colour, linewidth=5, solid_capstyle="butt", alpha=0.7)
+            axes.plot(middle, row, "o", color="white", markeredgecolor="black", markersize=6)
+        axes.set_yticks(range(len(series)), [f"{one.label}  (n = {one.data.episodes})" for one in series])
+        axes.set_ylim(len(series) - 0.5, -0.5)
+        axes.set_xlabel(f"{unit}; circle: median, bar: quartiles")
+        axes.grid(axis="x", color="#e3e7eb", linewidth=0.8)
+        axes.set_axisbelow(True)
+    return figure
+
+
+def _distributions(
+    series: Sequence[Series], columns: Sequence[Array], quantities: Sequence[Quantity], title: str
+) -> Figure:
+    """Draw a panel a column, with a line a dataset over the base robot's grey."""
+    across = min(COLUMNS, len(quantities))
+    down = -(-len(quantities) // across)
+    key = 0.25 * -(-len(series) // 2)
+    figure = new_figure(2.6 * across, 0.8 + 1.75 * down + key, title)
+    with settings():
+        grid = figure.subplots(down, across, squeeze=False)
+        for place, axes in enumerate(grid.flat):
+            if place < len(quantities):
+                _distribution(axes, series, [column[:, place] for column in columns])
+                axes.set_xlabel(str(quantities[place]))
+                axes.set_ylabel("share of steps (%)" if place % across == 0 else "")
+            else:
+                axes.set_visible(False)
+        handles, labels = grid.flat[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower left", ncols=2)
+    return figure
+
+
+def _distribution(axes: Axes, series: Sequence[Series], values: Sequence[Array]) -> None:
+    bounds = np.array([np.percentile(numbers, PERCENTILES) for numbers in values])
+    low, high = float(bounds[:, 0].min()), float(bounds[:, 1].max())
+    if low == high:
+        low, high = low - 0.5, high + 0.5
+    edges = np.linspace(low, high, BINS + 1)
+    number = 0
+    for one, numbers in zip(series, values, strict=True):
+        # What lies beyond counts in the last bins, so that no step is hidden.
+        counts, _ = np.histogram(np.clip(numbers.astype(np.float64), low, high), edges)
+        share = 100.0 * counts / len(numbers)
+        if one.is_base:
+            axes.stairs(share, edges, fill=True, color=BASE_FILL, label=one.label)
+        else:
+            axes.stairs(share, edges, label=one.label, linewidth=1.2, **line_style(number))
+            number += 1
+    axes.set_xlim(low, high)

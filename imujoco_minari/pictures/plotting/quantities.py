@@ -1,0 +1,48 @@
+"""What the columns of observations and actions are, and in which units, read off the model."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import mujoco
+
+from imujoco_minari.envs.mjcf import canonical_mjcf, compile_mjcf
+from imujoco_minari.variants import BASE, Variant
+
+
+class Quantity(NamedTuple):
+    """A name and a unit."""
+
+    name: str
+    unit: str
+
+    def __str__(self) -> str:
+        return f"{self.name} ({self.unit})"
+
+
+def observation_quantities(robot: str) -> list[Quantity]:
+    """Return what each column of an observation is: positions without the distance run, then velocities."""
+    model = compile_mjcf(canonical_mjcf(Variant(robot, BASE, 0, "")))
+    hinges = [model.jnt_type[i] == mujoco.mjtJoint.mjJNT_HINGE for i in range(model.njnt)]
+    names = [model.joint(i).name for i in range(model.njnt)]
+    positions = [
+        Quantity(f"{'angle' if hinge else 'position'} of {name}", "rad" if hinge else "m")
+        for name, hinge in zip(names, hinges, strict=True)
+    ]
+    velocities = [
+        Quantity(f"velocity of {name}", "rad/s" if hinge else "m/s")
+        for name, hinge in zip(names, hinges, strict=True)
+    ]
+    return positions[1:] + velocities
+
+
+def action_quantities(robot: str) -> list[Quantity]:
+    """Return what each column of an action is: a torque, as a share of the motor's gear."""
+    model = compile_mjcf(canonical_mjcf(Variant(robot, BASE, 0, "")))
+    return [
+        Quantity(
+            f"action on {model.joint(model.actuator_trnid[i][0]).name}",
+            f"1 = {model.actuator_gear[i][0]:g} N m",
+        )
+        for i in range(model.nu)
+    ]

@@ -1,0 +1,80 @@
+"""How every figure looks and is written: colours that colour-blind people tell apart, PNG and SVG."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from imujoco_minari.errors import missing_dependency
+from imujoco_minari.storage.files import whole_file
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# Okabe and Ito's, without their black and their yellow, which white swallows.
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
+# Lines differ by dash as well: colour is never the only difference between two.
+DASHES = ("-", "--", ":", "-.")
+BASE_FILL, BASE_EDGE = "#c3c9d0", "#69727c"
+FORMATS = (".png", ".svg")
+
+_SETTINGS: Any = {
+    "font.size": 9.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlesize": 9.0,
+    "figure.titlesize": 11.0,
+    "legend.frameon": False,
+    "savefig.dpi": 160,
+    # A figure drawn twice of the same data is the same file.
+    "svg.hashsalt": "imujoco",
+    "svg.fonttype": "none",
+}
+
+
+def new_figure(width: float, height: float, title: str) -> Figure:
+    """Return an empty figure of a size in inches, with its title.
+
+    Raises:
+        DependencyError: when matplotlib is not installed.
+    """
+    try:
+        from matplotlib import rc_context
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise missing_dependency("matplotlib", "plot", "drawing plots") from None
+    with rc_context(_SETTINGS):
+        figure = Figure(figsize=(width, height), layout="constrained")
+        figure.suptitle(title, x=0.01, ha="left")
+        return figure
+
+
+def settings() -> Any:
+    """Return a context in which axes are made in the figures' style."""
+    from matplotlib import rc_context
+
+    return rc_context(_SETTINGS)
+
+
+def save(figure: Figure, stem: Path) -> list[Path]:
+    """Write a figure as ``stem.png`` and ``stem.svg`` and return the two.
+
+    Raises:
+        StorageError: when they cannot be written.
+    """
+    written = []
+    for ending in FORMATS:
+        path = stem.with_name(stem.name + ending)
+        metadata = {"Date": None} if ending == ".svg" else {"Software": None}
+        with settings(), whole_file(path) as partial:
+            figure.savefig(partial, metadata=metadata)
+        written.append(path)
+    return written
+
+
+def line_style(number: int) -> dict[str, Any]:
+    """Return colour and dash of the ``number``-th line."""
+    return {
+        "color": COLOURS[number % len(COLOURS)],
+        "linestyle": DASHES[number % len(DASHES)],
+    }

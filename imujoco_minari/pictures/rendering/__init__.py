@@ -1,0 +1,69 @@
+"""Pictures and videos of variants, drawn off-screen.
+
+:mod:`~imujoco_minari.pictures.rendering.motion` and ``recorded`` say what moves, ``framing`` where the camera
+stands, ``scene`` how it looks, ``gl`` and ``studio`` draw it, ``film`` lays it out and ``files`` writes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from imujoco_minari.pictures.rendering.files import check_format, write_picture, write_video
+from imujoco_minari.pictures.rendering.film import FRAMES_PER_SECOND, contact_sheet, frames, pace, sheet_steps
+from imujoco_minari.pictures.rendering.motion import Motion, perform
+from imujoco_minari.pictures.rendering.recorded import replay
+from imujoco_minari.pictures.rendering.studio import Studio
+
+__all__ = ["Motion", "Studio", "frame_steps", "perform", "render_motions", "replay"]
+
+# A GIF stores every changed pixel, and few viewers keep up with more.
+GIF_FRAMES_PER_SECOND = 12.5
+
+
+def frame_steps(motions: Sequence[Motion], path: Path, *, sheet: bool = False) -> list[int]:
+    """Return the step numbers whose pictures :func:`render_motions` puts into the file ``path``."""
+    ending = check_format(path)
+    longest = max(len(motion.positions) for motion in motions)
+    if sheet:
+        return sheet_steps(longest)
+    if ending == ".png":
+        return [(longest - 1) // 2]
+    return list(range(0, longest, pace(motions, _rate(path)).stride))
+
+
+def render_motions(
+    motions: Sequence[Motion],
+    path: Path,
+    size: tuple[int, int] = (640, 480),
+    *,
+    sheet: bool = False,
+    on_frame: Callable[[], None] | None = None,
+) -> None:
+    """Draw motions side by side into the file ``path``: a video, the middle of it, or a contact sheet.
+
+    Args:
+        motions: of variants of one robot; all are seen from one distance.
+        path: ends in ``.mp4``, ``.gif`` or ``.png``.
+        size: width and height of one motion's picture, in pixels.
+        sheet: write a contact sheet, into a ``.png``.
+        on_frame: called after each picture.
+
+    Raises:
+        RenderingError: when there is no OpenGL to draw with.
+        StorageError: when the file cannot be written.
+        DependencyError: when what writes an ``.mp4`` is not installed.
+    """
+    steps = frame_steps(motions, path, sheet=sheet)
+    with Studio(*size) as studio:
+        pictures = frames(motions, studio, steps, on_frame=on_frame)
+        if path.suffix.lower() != ".png":
+            write_video(path, pictures, pace(motions, _rate(path)).per_second)
+        elif sheet:
+            write_picture(path, contact_sheet(list(pictures)))
+        else:
+            write_picture(path, next(pictures))
+
+
+def _rate(path: Path) -> float:
+    return GIF_FRAMES_PER_SECOND if path.suffix.lower() == ".gif" else FRAMES_PER_SECOND

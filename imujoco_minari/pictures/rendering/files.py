@@ -1,0 +1,103 @@
+"""Frames into files: MP4 by the ffmpeg that ``imageio-ffmpeg`` brings, GIF and PNG by Pillow."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from itertools import chain
+from pathlib import Path
+
+from PIL import Image
+
+from imujoco_minari.errors import RenderingError, missing_dependency
+from imujoco_minari.storage.files import whole_file
+
+FORMATS = (".mp4", ".gif", ".png")
+
+
+def check_format(path: Path) -> str:
+    """Return the lower-case ending of ``path``.
+
+    Raises:
+        RenderingError: when nothing is written in that format.
+        DependencyError: when what writes it is not installed.
+    """
+    ending = path.suffix.lower()
+    if ending not in FORMATS:
+        raise RenderingError(f"cannot write {str(path)!r}; valid endings: {', '.join(FORMATS)}")
+    if ending == ".mp4":
+        try:
+            import imageio_ffmpeg  # noqa: F401
+        except ImportError:
+            raise missing_dependency("imageio-ffmpeg", "render", "writing .mp4") from None
+    return ending
+
+
+def write_video(
+    path: Path,
+    pictures: Iterable[Image.Image],
+    per_second: float,
+    *,
+    quality: int = 23,
+) -> None:
+    """Write pictures of one size as an ``.mp4`` (H.264) or a ``.gif``.
+
+    Args:
+        path: the file; its folder is made.
+        pictures: at least one; of even width and height for ``.mp4``, else a row or column is cut off.
+        per_second: frames a second.
+        quality: H.264's constant rate factor, lower is better and larger.
+
+    Raises:
+        StorageError: when the file cannot be written.
+    """
+    ending = check_format(path)
+    with whole_file(path) as partial:
+        if ending == ".mp4":
+            _write_mp4(partial, iter(pictures), per_second, quality)
+        else:
+            _write_gif(partial, iter(pictures), per_second)
+
+
+def write_picture(path: Path, picture: Image.Image) -> None:
+    """Write one picture, in the format of the path's ending.
+
+    Raises:
+        StorageError: when the file cannot be written.
+    """
+    with whole_file(path) as partial:
+        picture.save(partial, optimize=True)
+
+
+def _write_mp4(path: Path, pictures: Iterator[Image.Image], per_second: float, quality: int) -> None:
+    import imageio_ffmpeg
+
+    first = next(pictures)
+    # H.264's usual colour format halves the resolution of colour, so it takes even sizes only.
+    width, height = first.width // 2 * 2, first.height // 2 * 2
+    writer = imageio_ffmpeg.write_frames(
+        str(path),
+        (width, height),
+        fps=per_second,
+        codec="libx264",
+        quality=None,
+        macro_block_size=2,
+        output_params=["-crf", str(quality), "-preset", "medium", "-movflags", "+faststart"],
+    )
+    writer.send(None)
+    try:
+        for picture in chain((first,), pictures):
+            writer.send(picture.crop((0, 0, width, height)).tobytes())
+    finally:
+        writer.close()
+
+
+def _write_gif(path: Path, pictures: Iterator[Image.Image], per_second: float) -> None:
+    drawn = list(pictures)
+    # One palette for all frames: a palette a frame flickers and doubles the size.
+    few = drawn[:: max(1, len(drawn) // 4)]
+    sample = Image.new("RGB", (few[0].width, few[0].height * len(few)))
+    for number, picture in enumerate(few):
+        sample.paste(picture, (0, number * picture.height))
+    palette = sample.quantize(256, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    reduced = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in drawn]
+    reduced[0].save(path, save_all=True, append_images=reduced[1:], duration=round(1000 / per_second), loop=0)

@@ -1,0 +1,128 @@
+"""What is drawn: the positions that a robot goes through in an episode.
+
+They come out of the variant's own environment; no picture simulates anything by itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from imujoco_minari.envs.registration import MAX_EPISODE_STEPS, make
+from imujoco_minari.policies import Policy
+from imujoco_minari.policies.rollouts import roll_out
+from imujoco_minari.variants import Variant
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """One episode as positions.
+
+    Attributes:
+        variant: who moves.
+        positions: generalised positions, of shape (steps + 1, nq).
+        rewards: of shape (steps,).
+        timestep: seconds an environment step takes.
+        terminated: whether the robot left its healthy range, rather than that time ran out.
+        title: what made it move, in a few words.
+        divergence: of a replay, the largest difference from a recorded observation; 0 when exact.
+    """
+
+    variant: Variant
+    positions: Array
+    rewards: Array
+    timestep: float
+    terminated: bool
+    title: str
+    divergence: float = 0.0
+
+    @property
+    def duration(self) -> float:
+        """Simulated seconds."""
+        return len(self.rewards) * self.timestep
+
+    @property
+    def total(self) -> float:
+        """Undiscounted return."""
+        return float(self.rewards.sum())
+
+    def until(self, seconds: float | None) -> Motion:
+        """Return the first ``seconds`` of it, or all of it."""
+        steps = len(self.rewards) if seconds is None else max(1, round(seconds / self.timestep))
+        if steps >= len(self.rewards):
+            return self
+        return replace(
+            self, positions=self.positions[: steps + 1], rewards=self.rewards[:steps], terminated=False
+        )
+
+
+class PositionRecorder(gym.Wrapper[Any, Any, Any, Any]):
+    """Keeps the positions, rewards and the last flags of the present episode."""
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        super().__init__(env)
+        self.positions: list[Array] = []
+        self.rewards: list[float] = []
+        self.terminated = False
+
+    def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode and forget the one before."""
+        result = self.env.reset(**kwargs)
+        self.positions, self.rewards, self.terminated = [self._position()], [], False
+        return result
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Step, and keep where that leads."""
+        result = self.env.step(action)
+        self.positions.append(self._position())
+        self.rewards.append(float(result[1]))
+        self.terminated = bool(result[2])
+        return result
+
+    def motion(self, variant: Variant, title: str, divergence: float = 0.0) -> Motion:
+        """Return the present episode."""
+        return Motion(
+            variant,
+            np.array(self.positions),
+            np.array(self.rewards),
+            float(self.unwrapped.dt),  # type: ignore[attr-defined]
+            self.terminated,
+            title,
+            divergence,
+        )
+
+    def _position(self) -> Array:
+        return np.array(self.unwrapped.data.qpos)  # type: ignore[attr-defined]
+
+
+def perform(
+    variant: Variant, policy: Policy, *, seed: int = 0, seconds: float | None = None, title: str = ""
+) -> Motion:
+    """Return an episode of ``policy`` on ``variant``, at most ``seconds`` of it."""
+    recorder = PositionRecorder(make(variant, max_episode_steps=_steps(variant, seconds)))
+    try:
+        roll_out(recorder, policy, seed)
+        return recorder.motion(variant, title or f"{policy.algorithm} policy")
+    finally:
+        recorder.close()
+
+
+def _steps(variant: Variant, seconds: float | None) -> int:
+    if seconds is None:
+        return MAX_EPISODE_STEPS
+    return max(1, min(MAX_EPISODE_STEPS, round(seconds / timestep(variant))))
+
+
+def timestep(variant: Variant) -> float:
+    """Return the seconds of simulation that a step of ``variant``'s environment takes."""
+    env = make(variant)
+    try:
+        return float(env.unwrapped.dt)  # type: ignore[attr-defined]
+    finally:
+        env.close()

@@ -1,0 +1,75 @@
+"""Variants standing still in one stance, so that they can be compared at a glance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+
+import mujoco
+import numpy as np
+from PIL import Image
+
+from imujoco_minari.envs.mjcf import canonical_mjcf, compile_mjcf
+from imujoco_minari.pictures.rendering.film import captioned, grid
+from imujoco_minari.pictures.rendering.framing import capsules, follow
+from imujoco_minari.pictures.rendering.studio import Studio
+from imujoco_minari.variants import Variant
+
+# Degrees of the joints that a stance bends; it spreads what the rest pose stacks.
+STANCES: Mapping[str, Mapping[str, float]] = MappingProxyType(
+    {
+        "hopper": {"rooty": -16.0, "thigh_joint": -14.0, "leg_joint": -34.0, "foot_joint": 32.0},
+        "halfcheetah": {"bthigh": -8.0, "bshin": 12.0, "fthigh": 6.0, "fshin": -10.0},
+        "walker2d": {
+            "rooty": -4.0,
+            "thigh_joint": -36.0,
+            "leg_joint": -46.0,
+            "foot_joint": 4.0,
+            "thigh_left_joint": -4.0,
+            "leg_left_joint": -16.0,
+            "foot_left_joint": 16.0,
+        },
+    }
+)
+
+
+def stance(variant: Variant) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    """Return the positions of ``variant`` in its robot's stance, its lowest point on the floor.
+
+    A joint whose range the variant narrows is bent as far as it goes.
+    """
+    model = compile_mjcf(canonical_mjcf(variant))
+    data = mujoco.MjData(model)
+    for name, degrees in STANCES[variant.robot].items():
+        joint, angle = model.joint(name), np.radians(degrees)
+        data.qpos[joint.qposadr[0]] = np.clip(angle, *joint.range) if model.jnt_limited[joint.id] else angle
+    position = np.array(data.qpos)
+    seen = capsules(model, position[None])
+    lowest = (seen.ends[0, :, 2] - seen.radii).min()
+    position[model.joint("rootz").qposadr[0]] -= lowest
+    return position
+
+
+def portraits(variants: Sequence[Variant], studio: Studio) -> list[Image.Image]:
+    """Return a portrait of each variant, all seen from one distance."""
+    positions = [stance(variant) for variant in variants]
+    seen = [
+        capsules(studio.model(variant), position[None])
+        for variant, position in zip(variants, positions, strict=True)
+    ]
+    cameras = follow(seen, studio.aspect, 1.0)
+    return [
+        Image.fromarray(np.ascontiguousarray(next(studio.shoot(variant, [position], camera))))
+        for variant, position, camera in zip(variants, positions, cameras, strict=True)
+    ]
+
+
+def poster(rows: Sequence[Sequence[Variant]], size: tuple[int, int]) -> Image.Image:
+    """Return one picture of rows of variants, each captioned, each row seen from a distance of its own."""
+    with Studio(*size) as studio:
+        cells = [
+            captioned(picture, variant)
+            for row in rows
+            for variant, picture in zip(row, portraits(row, studio), strict=True)
+        ]
+    return grid(cells, len(rows[0]))

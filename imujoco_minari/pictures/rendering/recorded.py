@@ -1,0 +1,137 @@
+"""The motion of a recorded episode: replayed from its seed and actions, or read off its observations.
+
+Most episodes are reset with their recorded seed and stepped by their recorded actions, as verification
+does. Data of others comes without seeds; its positions are in its observations, all but the distance
+run, which the recorded velocity adds up to.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from imujoco_minari.envs.registration import make
+from imujoco_minari.errors import DatasetError, DatasetNotFoundError
+from imujoco_minari.pictures.rendering.motion import Motion, PositionRecorder, timestep
+from imujoco_minari.storage import file_format, minari_root
+from imujoco_minari.variants import Variant
+from imujoco_minari.variants.original import is_original
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """One episode as a dataset has it.
+
+    Attributes:
+        dataset_id: the dataset.
+        number: of the episode in it.
+        variant: who moved.
+        tier: whose policy moved it.
+        seed: what reset the environment; None where it is not known.
+        observations: of shape (steps + 1, n).
+        actions: of shape (steps, m).
+        rewards: of shape (steps,).
+        terminated: whether the robot left its healthy range.
+    """
+
+    dataset_id: str
+    number: int
+    variant: Variant
+    tier: str
+    seed: int | None
+    observations: Array
+    actions: Array
+    rewards: Array
+    terminated: bool
+
+    @property
+    def title(self) -> str:
+        """What made it move, in a few words."""
+        return f"{self.tier}, episode {self.number}"
+
+    def motion(self) -> Motion:
+        """Return the episode as positions: replayed where its seed is known, else as observed."""
+        return self._observed() if self.seed is None else self._replayed()
+
+    def _replayed(self) -> Motion:
+        recorder = PositionRecorder(make(self.variant))
+        try:
+            observation, _ = recorder.reset(seed=self.seed)
+            divergence = float(np.abs(observation - self.observations[0]).max())
+            for action, expected in zip(self.actions, self.observations[1:], strict=True):
+                observation, _, terminated, truncated, _ = recorder.step(action)
+                divergence = max(divergence, float(np.abs(observation - expected).max()))
+                if terminated or truncated:
+                    break
+            return recorder.motion(self.variant, self.title, divergence)
+        finally:
+            recorder.close()
+
+    def _observed(self) -> Motion:
+        step = timestep(self.variant)
+        # An observation is all positions but the first, then as many velocities and one more.
+        others = (self.observations.shape[1] - 1) // 2
+        run = np.concatenate([[0.0], np.cumsum(self.observations[1:, others]) * step])
+        positions = np.column_stack([run, self.observations[:, :others]]).astype(np.float64)
+        title = f"{self.title}, as observed"
+        return Motion(self.variant, positions, self.rewards, step, self.terminated, title)
+
+
+def replay(dataset_id: str, episode: int = 0) -> Motion:
+    """Return a recorded episode of a dataset of this package, or of a collection of such.
+
+    Raises:
+        DatasetNotFoundError: when the root holds no such dataset, or it no such episode.
+        DatasetError: when the episode does not say how it was made.
+    """
+    return read_recorded(dataset_id, episode).motion()
+
+
+def read_recorded(dataset_id: str, episode: int = 0) -> Recorded:
+    """Read one episode of a dataset.
+
+    Raises:
+        DatasetNotFoundError: when the root holds no such dataset, or it no such episode.
+        DatasetError: when the episode does not say how it was made.
+    """
+    path = file_format.main_file(minari_root.dataset_folder(dataset_id) / "data")
+    if not path.is_file():
+        raise DatasetNotFoundError(
+            f"{dataset_id} is not in the Minari root, at {minari_root.datasets_root()}; see `minari list local`"
+        )
+    try:
+        with h5py.File(path, "r") as file:
+            if not 0 <= episode < len(file):
+                raise DatasetNotFoundError(
+                    f"{dataset_id} has no episode {episode}; valid: 0 to {len(file) - 1}"
+                )
+            return _read(file[f"episode_{episode}"], dataset_id, episode)
+    except (OSError, KeyError, IndexError) as error:
+        if isinstance(error, DatasetNotFoundError):
+            raise
+        raise DatasetError(f"{dataset_id}: episode {episode} cannot be read: {error}") from None
+
+
+def _read(group: h5py.Group, dataset_id: str, number: int) -> Recorded:
+    if is_original(group.attrs):
+        raise DatasetError(
+            f"{dataset_id}: its variant is of the original's archive, whose models are not drawn"
+        )
+    replayable = bool(group.attrs.get(file_format.REPLAYABLE, True))
+    return Recorded(
+        dataset_id,
+        number,
+        Variant.parse(str(group.attrs["variant"])),
+        str(group.attrs.get("tier", "")),
+        int(group.attrs["seed"]) if replayable else None,
+        group["observations"][()],
+        group["actions"][()],
+        group["rewards"][()],
+        bool(group["terminations"][-1]),
+    )

@@ -1,0 +1,125 @@
+"""How a variant looks: the canonical model in presentation dress, the changed limb coloured.
+
+Only looks are added (colours, light, floor pattern, sky); bodies, joints and geoms stay where the
+canonical model has them. Colours are Okabe and Ito's, which colour-blind people tell apart.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+
+from imujoco_minari.envs.mjcf import canonical_mjcf
+from imujoco_minari.pictures.rendering.framing import FIELD_OF_VIEW
+from imujoco_minari.variants import BASE, Variant
+
+Colour = tuple[float, float, float]
+
+COLOURS: dict[str, Colour] = {
+    "mass": (0.835, 0.369, 0.0),
+    "joint": (0.0, 0.447, 0.698),
+    "length": (0.0, 0.620, 0.451),
+    "friction": (0.800, 0.475, 0.655),
+}
+NEAR: Colour = (0.70, 0.72, 0.75)
+# A leg behind another is darker, as it is told from the near one by nothing else.
+FAR: Colour = (0.46, 0.49, 0.54)
+TILE = 1.0
+
+
+def scene_model(variant: Variant, *, width: int, height: int, fine: bool = True) -> Any:
+    """Return the ``mujoco.MjModel`` that is drawn for ``variant``.
+
+    Args:
+        variant: which variant.
+        width: of the largest picture, in pixels.
+        height: likewise.
+        fine: smooth edges and sharp shadows, at twice the time.
+    """
+    spec = mujoco.MjSpec.from_string(canonical_mjcf(variant))
+    _surroundings(spec, fine)
+    spec.visual.global_.fovy = FIELD_OF_VIEW
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
+    for geom in spec.geoms:
+        if geom.name != "floor":
+            geom.material = ""
+            geom.rgba = [*(FAR if "left" in geom.name else NEAR), 1.0]
+    if variant.category == "joint":
+        for name in variant.mjcf_names:
+            _mark_joint(spec.joint(name), COLOURS["joint"])
+    elif variant.category != BASE:
+        for name in variant.mjcf_names:
+            spec.geom(name).rgba = [*COLOURS[variant.category], 1.0]
+    return spec.compile()
+
+
+def _mark_joint(joint: Any, colour: Colour) -> None:
+    """Draw a disc around a joint, and tint the limb that it moves."""
+    body = joint.parent
+    radius = body.geoms[0].size[0]
+    for geom in body.geoms:
+        geom.rgba = [*_mix(colour, NEAR, 0.55), 1.0]
+    ends = [*(joint.pos - 1.5 * radius * joint.axis), *(joint.pos + 1.5 * radius * joint.axis)]
+    body.add_site(
+        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+        fromto=ends,
+        size=[1.45 * radius, 0.0, 0.0],
+        rgba=[*colour, 1.0],
+        group=0,
+    )
+
+
+def _surroundings(spec: Any, fine: bool) -> None:
+    """Replace floor pattern, sky and light by ours, the same for all three robots."""
+    for element in (*spec.textures, *spec.materials, *spec.lights):
+        if element.name != "floor":
+            spec.delete(element)
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.80, 0.88, 0.95],
+        rgb2=[0.97, 0.98, 0.99],
+        width=64,
+        height=64,
+    )
+    spec.add_texture(
+        name="tiles",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        rgb1=[0.84, 0.86, 0.88],
+        rgb2=[0.93, 0.94, 0.95],
+        width=256,
+        height=256,
+    )
+    tiles = spec.add_material(name="tiles", texuniform=True, texrepeat=[0.5 / TILE, 0.5 / TILE])
+    tiles.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
+    tiles.specular, tiles.shininess = 0.0, 0.0
+    floor = spec.geom("floor")
+    floor.material, floor.rgba = "tiles", [1.0, 1.0, 1.0, 1.0]
+    # Zero extents draw it without an edge: a cheetah runs far beyond the 40 m of its own.
+    floor.size = [0.0, 0.0, 0.05]
+    spec.bodies[1].add_light(
+        name="sun",
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        mode=mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM,
+        pos=[0.6, -1.2, 4.0],
+        dir=[-0.15, 0.3, -1.0],
+        diffuse=[0.45, 0.45, 0.45],
+        specular=[0.1, 0.1, 0.1],
+        castshadow=True,
+    )
+    visual = spec.visual
+    visual.headlight.ambient, visual.headlight.diffuse = [0.45] * 3, [0.30] * 3
+    visual.headlight.specular = [0.05] * 3
+    visual.rgba.haze = [0.93, 0.95, 0.97, 1.0]
+    visual.quality.shadowsize = 2048 if fine else 512
+    visual.quality.offsamples = 8 if fine else 4
+    visual.map.znear, visual.map.zfar = 0.02, 40.0
+
+
+def _mix(first: Colour, second: Colour, share: float) -> Colour:
+    """Return ``share`` of the first colour with the rest of the second."""
+    red, green, blue = (share * a + (1 - share) * b for a, b in zip(first, second, strict=True))
+    return red, green, blue

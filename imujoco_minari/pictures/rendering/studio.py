@@ -1,0 +1,92 @@
+"""The off-screen renderer: a model, its positions and a camera in, arrays of pixels out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from types import TracebackType
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from imujoco_minari.pictures.rendering.framing import AZIMUTH, ELEVATION, Camera
+from imujoco_minari.pictures.rendering.gl import new_context
+from imujoco_minari.pictures.rendering.scene import scene_model
+from imujoco_minari.variants import Variant
+
+Image = NDArray[np.uint8]
+
+
+class Studio:
+    """Draws variants in pictures of one size; use it as a context manager.
+
+    One OpenGL context and one set of textures serves all variants, as they differ in neither.
+
+    Args:
+        width: of a picture, in pixels.
+        height: likewise.
+        fine: smooth edges and sharp shadows, at twice the time.
+
+    Raises:
+        RenderingError: when there is no OpenGL to draw with.
+    """
+
+    def __init__(self, width: int, height: int, *, fine: bool = True) -> None:
+        self.width, self.height, self._fine = width, height, fine
+        self._models: dict[Variant, Any] = {}
+        self._gl = new_context(width, height)
+        self._context = mujoco.MjrContext(
+            self.model(Variant("hopper", "base", 0, "")), mujoco.mjtFontScale.mjFONTSCALE_100.value
+        )
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
+
+    def __enter__(self) -> Studio:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    @property
+    def aspect(self) -> float:
+        """Width over height."""
+        return self.width / self.height
+
+    def model(self, variant: Variant) -> Any:
+        """Return the model that is drawn for ``variant``."""
+        if variant not in self._models:
+            self._models[variant] = scene_model(
+                variant, width=self.width, height=self.height, fine=self._fine
+            )
+        return self._models[variant]
+
+    def shoot(self, variant: Variant, positions: Iterable[Any], camera: Camera) -> Iterator[Image]:
+        """Yield a picture, of shape (height, width, 3), for each position and its place of the camera."""
+        model = self.model(variant)
+        data, option, view = mujoco.MjData(model), mujoco.MjvOption(), mujoco.MjvCamera()
+        scene = mujoco.MjvScene(model, maxgeom=100)
+        view.azimuth, view.elevation, view.distance = AZIMUTH, ELEVATION, camera.distance
+        rectangle = mujoco.MjrRect(0, 0, self.width, self.height)
+        everything = mujoco.mjtCatBit.mjCAT_ALL.value
+        for position, lookat in zip(positions, camera.lookat, strict=True):
+            data.qpos[:] = position
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            mujoco.mj_camlight(model, data)
+            view.lookat[:] = lookat
+            mujoco.mjv_updateScene(model, data, option, None, view, everything, scene)
+            mujoco.mjr_render(rectangle, scene, self._context)
+            image = np.empty((self.height, self.width, 3), np.uint8)
+            mujoco.mjr_readPixels(image, None, rectangle, self._context)
+            # OpenGL's first row is the lowest.
+            yield image[::-1]
+
+    def close(self) -> None:
+        """Give the OpenGL context back."""
+        self._context.free()
+        self._gl.free()

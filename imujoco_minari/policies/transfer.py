@@ -1,0 +1,197 @@
+"""How policies fare on variants that they were not made for: every policy on every variant, evaluated.
+
+Each result is written to a state file as it comes, so that a run that is broken off goes on; a policy,
+a model or a setting that has changed is evaluated anew. The policies may be any mapping of names.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from imujoco_minari.envs.mjcf import canonical_mjcf, mjcf_sha256
+from imujoco_minari.envs.registration import make
+from imujoco_minari.errors import JobError, PolicyNotFoundError, TransferError
+from imujoco_minari.parallel import run_jobs
+from imujoco_minari.policies import Policy, expert_actor, expert_variants
+from imujoco_minari.policies.rollouts import Evaluation, evaluate
+from imujoco_minari.storage.files import write_text
+from imujoco_minari.variants import BASE, Variant, catalogue
+
+FORMAT = 1
+COLUMNS = (
+    "policy",
+    "variant",
+    "category",
+    "episodes",
+    "return_mean",
+    "return_std",
+    "return_min",
+    "return_max",
+    "length_mean",
+)
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """The evaluations of policies on variants.
+
+    Attributes:
+        policies: their names, the matrix' rows.
+        variants: its columns.
+        cells: (policy, variant) to evaluation; all of them.
+    """
+
+    policies: tuple[str, ...]
+    variants: tuple[Variant, ...]
+    cells: Mapping[tuple[str, Variant], Evaluation]
+
+    def returns(self) -> list[list[float]]:
+        """Return the mean returns, a list a policy."""
+        return [
+            [self.cells[policy, variant].return_mean for variant in self.variants] for policy in self.policies
+        ]
+
+
+@dataclass(frozen=True)
+class _Cell:
+    policy_name: str
+    policy: Policy
+    variant: Variant
+    episodes: int
+    seed: int
+
+    def key(self) -> str:
+        """Return what decides the result, and is compared with what the state file says."""
+        model = mjcf_sha256(canonical_mjcf(self.variant))
+        return f"{self.policy.sha256} {self.policy.deterministic} {model} {self.episodes} {self.seed}"
+
+
+def expert_policies(robot: str, category: str | None = None) -> dict[str, Policy]:
+    """Return the expert policies that there are of a robot, its base's first, by the names of their variants.
+
+    Raises:
+        PolicyNotFoundError: when there is none.
+    """
+    there = set(expert_variants())
+    chosen = [variant for variant in columns(robot, category) if variant in there]
+    if not chosen:
+        raise PolicyNotFoundError(
+            f"there is no expert policy of {robot}{f' for {category}' if category else ''}: train some with "
+            "`imujoco train`, or give some with --policy FILE"
+        )
+    return {str(variant): expert_actor(variant) for variant in chosen}
+
+
+def columns(robot: str, category: str | None = None) -> tuple[Variant, ...]:
+    """Return the variants that policies of a robot are evaluated on: its base, then the catalogue's.
+
+    Raises:
+        VariantError: when there is no such robot or category.
+    """
+    return (Variant(robot, BASE, 0, ""), *catalogue(robot, category))
+
+
+def evaluate_transfer(
+    policies: Mapping[str, Policy],
+    variants: Sequence[Variant],
+    state: Path,
+    *,
+    episodes: int = 5,
+    seed: int = 0,
+    jobs: int = 1,
+    on_cell: Callable[[], None] | None = None,
+) -> Transfer:
+    """Evaluate every policy on every variant.
+
+    Args:
+        policies: by name.
+        variants: of one robot.
+        state: file that keeps the results; one of an earlier run is gone on with.
+        episodes: a cell.
+        seed: base seed of the episodes, the same for every cell.
+        jobs: how many processes.
+        on_cell: called after each cell, those of an earlier run included.
+
+    Raises:
+        PolicyError: when a policy does not fit the robot.
+        TransferError: when the state file is none, or a cell was lost with its process.
+        StorageError: when the state file cannot be written.
+    """
+    for policy in policies.values():
+        for robot in {variant.robot for variant in variants}:
+            _check(policy, robot)
+    known = _read(state)
+    wanted = [
+        _Cell(name, policy, variant, episodes, seed)
+        for name, policy in policies.items()
+        for variant in variants
+    ]
+    cells: dict[tuple[str, Variant], Evaluation] = {}
+    missing = []
+    for cell in wanted:
+        row = known.get(cell.policy_name, {}).get(str(cell.variant), {})
+        if row.get("key") == cell.key():
+            cells[cell.policy_name, cell.variant] = Evaluation(**row["evaluation"])
+            if on_cell is not None:
+                on_cell()
+        else:
+            missing.append(cell)
+    for number, result in run_jobs(_evaluate, missing, jobs=jobs):
+        cell = missing[number]
+        if isinstance(result, JobError):
+            raise TransferError(f"{cell.policy_name} on {cell.variant}: {result}")
+        cells[cell.policy_name, cell.variant] = result
+        row = {"key": cell.key(), "evaluation": result.asdict()}
+        known.setdefault(cell.policy_name, {})[str(cell.variant)] = row
+        write_text(state, json.dumps({"format": FORMAT, "cells": known}) + "\n")
+        if on_cell is not None:
+            on_cell()
+    return Transfer(tuple(policies), tuple(variants), cells)
+
+
+def write_csv(transfer: Transfer, path: Path) -> None:
+    """Write the numbers of a transfer, a line a policy and variant.
+
+    Raises:
+        StorageError: when the file cannot be written.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for policy in transfer.policies:
+        for variant in transfer.variants:
+            evaluation = transfer.cells[policy, variant].asdict()
+            numbers = [evaluation[name] for name in COLUMNS[3:]]
+            writer.writerow([policy, str(variant), variant.category, *numbers])
+    write_text(path, text.getvalue())
+
+
+def _evaluate(cell: _Cell) -> Evaluation:
+    env = make(cell.variant)
+    try:
+        return evaluate(env, cell.policy, episodes=cell.episodes, seed=cell.seed)
+    finally:
+        env.close()
+
+
+def _check(policy: Any, robot: str) -> None:
+    if hasattr(policy, "check"):
+        policy.check(robot)
+
+
+def _read(state: Path) -> dict[str, dict[str, Any]]:
+    if not state.exists():
+        return {}
+    try:
+        data = json.loads(state.read_text("utf-8"))
+        if data["format"] == FORMAT and isinstance(data["cells"], dict):
+            return dict(data["cells"])
+    except (OSError, ValueError, KeyError, TypeError):
+        pass
+    raise TransferError(f"{state} is no state of a transfer: remove it, or name another --out")

@@ -1,0 +1,88 @@
+"""A recipe's episodes, recorded in shares by one process or several, and joined in order."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import h5py
+import numpy as np
+from minari.dataset.minari_storage import MinariStorage
+
+from imujoco_minari.errors import JobError
+from imujoco_minari.parallel import run_jobs
+from imujoco_minari.policies.tiers import Part
+from imujoco_minari.publishing.collector import collect
+from imujoco_minari.publishing.recipes import Recipe
+from imujoco_minari.storage import copying, file_format
+from imujoco_minari.storage.quiet_file import writing
+
+Progress = Callable[[], None]
+
+
+@dataclass(frozen=True)
+class _Share:
+    """Episodes of one part of a dataset that are recorded in one go, in a folder."""
+
+    part: Part
+    episodes: Sequence[int]
+    folder: Path
+
+
+def record_shares(
+    recipe: Recipe, made_by: Sequence[Part], data: Path, jobs: int, on_episode: Progress | None
+) -> None:
+    """Record the recipe's episodes in ``data``, in shares that are joined in order."""
+    shares = list(_shares(made_by, data, jobs))
+    if jobs == 1:
+        for share in shares:
+            _record(recipe, share, on_episode)
+    else:
+        for number, outcome in run_jobs(partial(_record, recipe), shares, jobs=jobs):
+            if isinstance(outcome, JobError):
+                raise outcome
+            for _ in shares[number].episodes:
+                if on_episode is not None:
+                    on_episode()
+    _join([share.folder for share in shares], data)
+
+
+def _shares(made_by: Sequence[Part], data: Path, jobs: int) -> Iterator[_Share]:
+    """Divide the episodes: one share a part with one job, about four a job with several."""
+    first = number = 0
+    for part in made_by:
+        wanted = 1 if jobs == 1 else -(-4 * jobs // len(made_by))
+        for episodes in np.array_split(np.arange(part.episodes) + first, min(wanted, part.episodes)):
+            yield _Share(part, episodes.tolist(), data.with_name(f"share-{number}"))
+            number += 1
+        first += part.episodes
+
+
+def _record(recipe: Recipe, share: _Share, on_episode: Progress | None = None) -> None:
+    """Record a share, in the place of what a lost worker left in its folder."""
+    shutil.rmtree(share.folder, ignore_errors=True)
+    attributes = {**recipe.episode_attributes, **share.part.attributes}
+    collect(
+        recipe.variant, share.part.policy, share.episodes, recipe.seed, share.folder, attributes, on_episode
+    )
+
+
+def _join(folders: Sequence[Path], data: Path) -> None:
+    """Move the episodes of all folders, in order, behind those of the first, which becomes ``data``."""
+    first, *others = folders
+    if not others:
+        first.rename(data)
+        return
+    storage = MinariStorage.read(first)
+    steps = storage.total_steps
+    with writing(file_format.main_file(first)) as target:
+        for other in others:
+            with h5py.File(file_format.main_file(other), "r") as source:
+                steps += copying.copy_episodes(source, range(len(source)), target, "").steps
+            shutil.rmtree(other)
+        episodes = len(target)
+    storage.update_metadata({"total_episodes": episodes, "total_steps": steps})
+    first.rename(data)

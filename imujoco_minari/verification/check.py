@@ -1,0 +1,162 @@
+"""A dataset's check but for its replay, in parts of some episodes each that processes can share.
+
+A part looks at its episodes and remembers what the whole needs of them: steps, variants, digests. Merging
+the parts adds what only the whole can tell.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import h5py
+
+from imujoco_minari.storage import file_format
+from imujoco_minari.variants.original import CATALOGUE, variant_of
+from imujoco_minari.verification import digests, identity, looking, structure
+from imujoco_minari.verification.findings import MAX_FINDINGS, Checked, Finding, same, shown
+
+
+@dataclass
+class Part:
+    """What the check of some of a dataset's episodes found.
+
+    Attributes:
+        findings: what is wrong with them.
+        readable: whether all of them could be read.
+        sound: whether all of them are whole enough to be replayed.
+        intact: whether no digest differs.
+        linked: whether all of them lie in other files.
+        episodes: how many there are in the whole dataset.
+        steps: of all of the part's.
+        variants: of the part's, each once, as the attributes that name it.
+        digests: of the part's, as stored.
+    """
+
+    findings: list[Finding] = field(default_factory=list)
+    readable: bool = True
+    sound: bool = True
+    intact: bool = True
+    linked: bool = True
+    episodes: int = 0
+    steps: int = 0
+    variants: list[dict[str, str]] = field(default_factory=list)
+    digests: list[str] = field(default_factory=list)
+
+    def to_json(self) -> str:
+        """Return the part as text."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, text: str | bytes) -> Part:
+        """Return the part of :meth:`to_json`.
+
+        Raises:
+            ValueError, TypeError: when the text is of no part.
+        """
+        said = json.loads(text)
+        return cls(**said | {"findings": [Finding(**finding) for finding in said["findings"]]})
+
+
+def check(data: Path) -> Checked:
+    """Check the Minari storage in the folder ``data`` in all but the replay of its episodes."""
+    return merge(data, [check_part(data)])
+
+
+def check_part(data: Path, number: int = 0, count: int = 1) -> Part:
+    """Check one of ``count`` parts of the storage in the folder ``data``; the first sees to the files too."""
+    part = Part()
+    try:
+        _check(part, data, number, count)
+    except looking.UnreadableError as error:
+        part.findings.append(error.finding)
+        part.readable = False
+    except Exception as error:  # h5py raises anything at all on a damaged file; none of it is ours
+        part.findings.append(unreadable(data, error))
+        part.readable = False
+    return part
+
+
+def merge(data: Path, parts: Sequence[Part]) -> Checked:
+    """Return what the parts found, and what only the whole tells."""
+    findings = [finding for part in parts for finding in part.findings]
+    if not all(part.readable for part in parts):
+        return Checked(findings, replayable=False)
+    try:
+        return Checked(findings, _check_whole(findings, data, parts))
+    except Exception as error:  # as above
+        return Checked([*findings, unreadable(data, error)], replayable=False)
+
+
+def unreadable(data: Path, error: Exception) -> Finding:
+    """Return the finding that an error in reading a dataset is."""
+    return Finding(str(data), f"cannot be read: {type(error).__name__}: {str(error)[:200]}")
+
+
+def _check(part: Part, data: Path, number: int, count: int) -> None:
+    missing = [name for name in ("metadata.json", file_format.MAIN_FILE) if not (data / name).is_file()]
+    if missing:
+        raise looking.UnreadableError(missing[0], "is missing")
+    metadata = identity.read_metadata(data)
+    if not metadata:
+        raise looking.UnreadableError("metadata.json", "is no JSON object")
+    if number == 0:
+        # Before the file is opened: what its metadata would run is told even where it cannot be read.
+        part.findings += [*digests.files(data, metadata), *identity.loadable(metadata)]
+    with h5py.File(file_format.main_file(data), "r") as file:
+        looking.check_names(file)
+        part.episodes, root = len(file), looking.attributes(file.id, "")
+        for episode in range(part.episodes * number // count, part.episodes * (number + 1) // count):
+            _check_episode(part, looking.look(file, data, episode), episode, root, metadata)
+            if len(part.findings) >= MAX_FINDINGS:
+                part.sound = False
+                return
+
+
+def _check_episode(
+    part: Part, episode: looking.Episode, number: int, root: Mapping[str, Any], metadata: Mapping[str, Any]
+) -> None:
+    part.steps += structure.length(episode)
+    part.linked &= episode.linked
+    part.digests.append(str(episode.attributes.get(file_format.DIGEST)))
+    broken = list(structure.arrays(episode))
+    if not broken:
+        read = {key: episode.arrays[key].read() for key in file_format.ARRAYS}
+        broken = list(structure.values(episode, number, read))
+    part.findings += broken
+    if broken:
+        part.sound = False
+        return
+    variant = identity.variant(episode)
+    named = {key: str(episode.attributes.get(key, "")) for key in ("variant", CATALOGUE)}
+    if variant is not None and named not in part.variants:
+        part.variants.append(named)
+    part.findings += identity.episode(episode, variant, root, identity.is_collection(metadata))
+    changed = list(digests.arrays(episode, read))
+    part.findings += changed
+    part.intact &= not changed
+
+
+def _check_whole(findings: list[Finding], data: Path, parts: Sequence[Part]) -> bool:
+    """Add what the whole tells to the findings; return whether the dataset can be replayed."""
+    metadata = identity.read_metadata(data)
+    obstacles = []
+    totals = {"total_episodes": parts[0].episodes, "total_steps": sum(part.steps for part in parts)}
+    for key, value in totals.items():
+        if not same(metadata.get(key), value):
+            what = f"is {shown(metadata.get(key))}, but the file holds {value}"
+            obstacles.append(Finding(f"metadata.json/{key}", what))
+    findings += obstacles
+    if obstacles or any(identity.loadable(metadata)) or not all(part.sound for part in parts):
+        return False
+    with h5py.File(file_format.main_file(data), "r") as file:
+        root = looking.attributes(file.id, "")
+    variants = dict.fromkeys(variant_of(named) for part in parts for named in part.variants)
+    findings += identity.whole(root, metadata, list(variants))
+    if all(part.intact for part in parts):
+        sealed = [digest for part in parts for digest in part.digests]
+        findings += digests.whole(sealed, root, metadata, all(part.linked for part in parts))
+    return True

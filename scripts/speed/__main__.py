@@ -1,0 +1,115 @@
+"""Run the benchmarks, print their table and write them as JSON."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import sys
+import tempfile
+import time
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
+
+ROWS = ("collect", "jobs", "combine", "load", "sample", "verify", "start", "publish", "train")
+
+
+def main() -> None:
+    """Parse the arguments and run."""
+    parser = argparse.ArgumentParser(prog="scripts/bench", description=__doc__)
+    parser.add_argument("rows", nargs="*", help=f"of: {', '.join(ROWS)}; train only when named")
+    parser.add_argument(
+        "--policies", type=Path, help="folder of <robot>.safetensors; else the shipped experts"
+    )
+    parser.add_argument("--rounds", type=int, default=5, help="turns that each contender takes")
+    parser.add_argument("--scale", type=float, default=1.0, help="share of the work; 0.1 is for trying it")
+    parser.add_argument("--output", type=Path, default=Path("benchmark.json"), help="JSON of the figures")
+    parser.add_argument(
+        "--cpu", action="store_true", help="count processor time where one process works, for a busy machine"
+    )
+    options = parser.parse_args()
+    if options.cpu:
+        os.environ["BENCH_CLOCK"] = "cpu"
+    unknown = set(options.rows) - set(ROWS)
+    if unknown:
+        parser.error(f"no row {unknown.pop()!r}; valid: {', '.join(ROWS)}")
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["MINARI_DATASETS_PATH"] = str(Path(folder) / "root")
+        rows = _run(set(options.rows) or set(ROWS) - {"train"}, options)
+    from benchmarks.measuring import table
+
+    print("\n" + table(rows))
+    print(f"\nfigures written to {options.output}")
+
+
+def _run(wanted: set[str], options: argparse.Namespace) -> list:
+    from benchmarks import collecting, datasets, starting, training
+    from benchmarks.subjects import actor_of, publish_copies, save_actor, stand_in_records
+
+    from imujoco_minari.policies import policies_folder
+    from imujoco_minari.variants import ROBOTS, Variant
+
+    if "train" not in wanted:
+        os.environ["IMUJOCO_HOME"] = str(Path(os.environ["MINARI_DATASETS_PATH"]).with_name("home"))
+        stand_in_records(policies_folder())
+    scale, rounds, policies = options.scale, options.rounds, options.policies
+    rows = []
+
+    def done(*new) -> None:
+        rows.extend(new)
+        for row in new:
+            ratios = ", ".join(f"{name} {value:.3g}" for name, value in row.ratios.items())
+            print(f"{time.strftime('%X')} {row.work}: {ratios}", file=sys.stderr, flush=True)
+        # After each row, so that one that fails does not cost the others.
+        figures = {
+            "machine": _machine(),
+            "clock": "cpu" if options.cpu else "wall",
+            "rounds": rounds,
+            "rows": list(map(asdict, rows)),
+        }
+        options.output.write_text(json.dumps(figures, indent=1))
+
+    if wanted & {"collect", "publish"}:
+        for robot in ROBOTS:
+            done(collecting.collection_row(robot, policies, rounds, int(20_000 * scale)))
+    if wanted & {"jobs", "publish"}:
+        done(collecting.jobs_row(policies, max(1, rounds // 2), max(2, int(20 * scale))))
+    if "publish" in wanted:
+        collections = dict(zip(ROBOTS, rows[:3], strict=True))
+        scaling = rows[3].ratios["times one process"]
+        done(collecting.publishing_row(policies, max(5, int(50 * scale)), scaling, collections))
+    if wanted & {"combine", "load", "sample"}:
+        actor, _ = actor_of("halfcheetah", policies)
+        with tempfile.TemporaryDirectory() as folder:
+            policy = save_actor(actor, Path(folder) / "actor.safetensors")
+            ids = publish_copies(Variant.parse("halfcheetah-base"), policy, int(100 * scale), 20)
+        if "combine" in wanted:
+            done(datasets.combining_row(ids, rounds))
+        if "load" in wanted:
+            done(*datasets.loading_rows(ids, rounds))
+        if "sample" in wanted:
+            done(*datasets.sampling_rows(ids, rounds))
+    if "verify" in wanted:
+        done(collecting.verification_row(policies, rounds, int(200 * scale), collecting.cores()))
+    if "start" in wanted:
+        done(*starting.starting_rows(max(3, 2 * rounds)))
+    if "train" in wanted:
+        done(training.training_row(120.0 * scale))
+    return rows
+
+
+def _machine() -> dict:
+    names = ("imujoco-minari", "mujoco", "gymnasium", "minari", "numpy", "h5py", "stable-baselines3", "torch")
+    return {
+        "processor": platform.processor() or platform.machine(),
+        "cores": len(os.sched_getaffinity(0)),
+        "load": os.getloadavg(),
+        "python": platform.python_version(),
+        "versions": {name: version(name) for name in names},
+    }
+
+
+if __name__ == "__main__":
+    main()

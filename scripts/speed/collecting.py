@@ -1,0 +1,314 @@
+"""Collection, publishing by several processes, and replay, beside bare stepping."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import h5py
+import minari
+from benchmarks.measuring import LIMIT, OURS, STOCK, Row, rates, ratio, take_turns
+from benchmarks.subjects import UNTRAINED, actor_of, save_actor
+from minari.dataset.minari_storage import MinariStorage
+
+from imujoco_minari.envs.registration import make
+from imujoco_minari.policies import Actor
+from imujoco_minari.policies.rollouts import episode_seed
+from imujoco_minari.policies.sb3 import export_zip
+from imujoco_minari.publishing.collector import collect
+from imujoco_minari.publishing.publisher import publish, publish_all
+from imujoco_minari.publishing.recipes import Recipe
+from imujoco_minari.storage import file_format, minari_root
+from imujoco_minari.variants import ROBOTS, Variant, catalogue, specification
+from imujoco_minari.verification import verify
+
+# What collection is to reach: times the stock way, and share of the bare stepping rate.
+TARGETS = {"halfcheetah": (4.0, 0.75), "hopper": (2.2, 0.85), "walker2d": (2.2, 0.85)}
+
+
+def collection_row(robot: str, policies: Path | None, rounds: int, steps: int) -> Row:
+    """Policy, environment, collector and dataset, against the loop of Farama's generation scripts."""
+    from stable_baselines3 import SAC
+
+    actor, origin = actor_of(robot, policies)
+    variant = Variant.parse(f"{robot}-base")
+    with tempfile.TemporaryDirectory() as folder:
+        model = SAC.load(export_zip(variant, Path(folder) / "actor.zip", actor), device="cpu")
+        length = _record(variant, actor, 2, Path(folder) / "probe") / 2
+        episodes = max(2, round(steps / length))
+        total = _record(variant, actor, episodes, Path(folder) / "ours")
+        bare = _bare_stepping(Path(folder) / "ours", make(variant))
+        plain = _bare_stepping(Path(folder) / "ours", gym.make(specification(robot).environment))
+        seconds = take_turns(
+            {
+                OURS: lambda: _record(variant, actor, episodes, Path(folder) / "ours"),
+                STOCK: lambda: _record_stock(specification(robot).environment, model, episodes),
+                LIMIT: bare,
+                "gymnasium's own environment": plain,
+            },
+            rounds,
+        )
+    # The stock loop's episodes differ from ours by rounding, and in number of steps where they end early.
+    stock_steps = minari.load_dataset("bench/stock-v0").total_steps
+    figures = rates(seconds, total) | {STOCK: rates(seconds, stock_steps)[STOCK]}
+    minari.delete_dataset("bench/stock-v0")
+    times_stock, share = TARGETS[robot]
+    return Row(
+        f"collect {robot}, one core",
+        figures,
+        "steps/s",
+        {
+            "times stock": ratio(seconds[STOCK], seconds[OURS]) * total / stock_steps,
+            "of bare stepping": ratio(seconds[LIMIT], seconds[OURS]),
+        },
+        {"times stock": ("least", times_stock), "of bare stepping": ("least", share)},
+        f"{origin}, {total / episodes:.0f} steps an episode; stock is SAC.predict and minari.DataCollector",
+    )
+
+
+def _record(variant: Variant, actor: Actor, episodes: int, target: Path) -> int:
+    shutil.rmtree(target, ignore_errors=True)
+    collect(variant, actor, range(episodes), 0, target)
+    return int(MinariStorage.read(target).total_steps)
+
+
+def _record_stock(environment: str, model: Any, episodes: int) -> None:
+    if minari_root.exists("bench/stock-v0"):
+        minari.delete_dataset("bench/stock-v0")
+    collector = minari.DataCollector(gym.make(environment))
+    for episode in range(episodes):
+        observation, _ = collector.reset(seed=episode_seed(0, episode))
+        ended = False
+        while not ended:
+            action, _ = model.predict(observation, deterministic=True)
+            observation, _, terminated, truncated, _ = collector.step(action)
+            ended = terminated or truncated
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        collector.create_dataset("bench/stock-v0", ref_min_score=0.0, ref_max_score=1.0)
+    collector.env.close()
+
+
+def _bare_stepping(data: Path, env: gym.Env[Any, Any]) -> Callable[[], None]:
+    """Return what steps an environment through the recorded actions and does nothing else."""
+    recorded = []
+    with h5py.File(file_format.main_file(data), "r") as file:
+        for number in range(len(file)):
+            group = file[f"episode_{number}"]
+            recorded.append((int(group.attrs["seed"]), list(group["actions"][()])))
+
+    def run() -> None:
+        for seed, actions in recorded:
+            env.reset(seed=seed)
+            for action in actions:
+                env.step(action)
+
+    return run
+
+
+def jobs_row(policies: Path | None, rounds: int, episodes: int) -> Row:
+    """Publishing by two processes against one, beside what two processes that only step can do."""
+    actor, origin = actor_of("halfcheetah", policies)
+    with tempfile.TemporaryDirectory() as folder:
+        policy = save_actor(actor, Path(folder) / "actor.safetensors")
+        recipes = [
+            Recipe(variant, "bench", episodes, policy=policy) for variant in catalogue("halfcheetah", "mass")
+        ]
+
+        def work(jobs: int) -> None:
+            outcomes = list(publish_all(recipes, jobs=jobs, force=True))
+            assert not any(outcome.error for outcome in outcomes), outcomes
+
+        work(1)
+        data = minari_root.dataset_folder(recipes[0].dataset_id) / "data"
+        with _bare_processes(data, 1) as bare, _bare_processes(data, 2) as bare_twice:
+            seconds = take_turns(
+                {
+                    "one process": lambda: work(1),
+                    "two processes": lambda: work(2),
+                    "bare, one process": bare,
+                    "bare, two processes": bare_twice,
+                },
+                rounds,
+                processes=True,
+            )
+    steps = len(recipes) * episodes * 1000
+    figures = rates(seconds, steps)
+    return Row(
+        f"publish {len(recipes)} variants of halfcheetah with --jobs 2",
+        {name: figures[name] for name in ("two processes", "one process")},
+        "steps/s",
+        {
+            "times one process": ratio(seconds["one process"], seconds["two processes"]),
+            "bare stepping, two processes to one": 2
+            * ratio(seconds["bare, one process"], seconds["bare, two processes"]),
+        },
+        {"times one process": ("least", 1.85)},
+        f"{origin}; starting the processes, digests and checks are in it",
+    )
+
+
+_BARE = """
+import sys
+from pathlib import Path
+from benchmarks.collecting import _bare_stepping
+from imujoco_minari.envs.registration import make
+run = _bare_stepping(Path(sys.argv[1]), make("halfcheetah-base"))
+print("ready", flush=True)
+for _ in sys.stdin:
+    run()
+    print("done", flush=True)
+"""
+
+
+@contextmanager
+def _bare_processes(data: Path, count: int) -> Iterator[Callable[[], None]]:
+    """Yield what has ``count`` processes, all started before, each step through the whole dataset."""
+    started = [
+        subprocess.Popen(
+            [sys.executable, "-c", _BARE, str(data)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        for _ in range(count)
+    ]
+
+    def hear(word: str) -> None:
+        for process in started:
+            assert process.stdout is not None
+            assert process.stdout.readline() == f"{word}\n"
+
+    def run() -> None:
+        for process in started:
+            assert process.stdin is not None
+            process.stdin.write("\n")
+            process.stdin.flush()
+        hear("done")
+
+    try:
+        hear("ready")
+        yield run
+    finally:
+        for process in started:
+            process.communicate()
+
+
+def verification_row(policies: Path | None, rounds: int, episodes: int, cores: int) -> Row:
+    """The whole check of a dataset on all cores, against bare stepping on all of them."""
+    actor, origin = actor_of("halfcheetah", policies)
+    with tempfile.TemporaryDirectory() as folder:
+        policy = save_actor(actor, Path(folder) / "actor.safetensors")
+        published = publish(
+            Recipe(Variant.parse("halfcheetah-base"), "bench", episodes, policy=policy), force=True
+        )
+
+    def check(jobs: int) -> None:
+        assert verify(published.dataset_id, jobs=jobs) == []
+
+    assert published.path is not None
+    data = published.path / "data"
+    with _bare_processes(data, 1) as bare, _bare_processes(data, cores) as bare_everywhere:
+        seconds = take_turns(
+            {
+                "one core": lambda: check(1),
+                "all cores": lambda: check(cores),
+                "bare, one core": bare,
+                "bare, all cores": bare_everywhere,
+            },
+            rounds,
+            processes=True,
+        )
+    # Each process steps through the whole dataset.
+    seconds["bare, all cores"] = [value / cores for value in seconds["bare, all cores"]]
+    return Row(
+        f"verify {episodes} episodes of halfcheetah, replay and all",
+        rates(seconds, published.steps),
+        "steps/s",
+        {
+            "of bare stepping, all cores": ratio(seconds["bare, all cores"], seconds["all cores"]),
+            "of bare stepping, one core": ratio(seconds["bare, one core"], seconds["one core"]),
+            "bare stepping, all cores to one": ratio(seconds["bare, one core"], seconds["bare, all cores"]),
+        },
+        {"of bare stepping, all cores": ("least", 0.8)},
+        f"{origin}; bare stepping on all cores is measured in {cores} processes at once",
+    )
+
+
+def publishing_row(policies: Path | None, episodes: int, scaling: float, collections: dict[str, Row]) -> Row:
+    """The whole catalogue of 154 x 100 episodes, extrapolated from some variants of each robot.
+
+    Args:
+        policies: folder of policies.
+        episodes: episodes a dataset in the sample.
+        scaling: how much faster two processes are than one.
+        collections: robot to its row of collection.
+    """
+    ours = stock = 0.0
+    rates = []
+    for robot in ROBOTS:
+        actor, origin = actor_of(robot, policies)
+        figures = collections[robot].figures
+        if origin == UNTRAINED:
+            # Its episodes are too short to tell what full ones take; the other robots' share is assumed.
+            rate, origin = 0.75 * figures[LIMIT], "estimated at 75 % of bare stepping"
+        else:
+            rate = _publishing_rate(robot, actor, episodes)
+        total = len(catalogue(robot)) * 100 * 1000
+        ours += total / rate / scaling
+        stock += total / figures[STOCK]
+        rates.append(f"{robot} {rate:,.0f} steps/s ({origin})")
+    few, many = (_publishing_memory(variants) for variants in (4, 16))
+    return Row(
+        "publish all 154 x 100 episodes of 1000 steps, two cores",
+        {OURS: ours / 60, "stock, one process": stock / 60},
+        "min",
+        {"minutes": ours / 60, "peak memory, 16 variants to 4": many / few},
+        {"minutes": ("most", 25.0), "peak memory, 16 variants to 4": ("most", 1.05)},
+        f"extrapolated from {episodes} episodes of 4 variants a robot, digests and checks included: "
+        f"{', '.join(rates)}; peak {many / 2**20:.0f} MB a process",
+    )
+
+
+def _publishing_rate(robot: str, actor: Actor, episodes: int) -> float:
+    """Return the steps a second, one process, at which some variants of a robot are published."""
+    everything = catalogue(robot)
+    with tempfile.TemporaryDirectory() as folder:
+        policy = save_actor(actor, Path(folder) / "actor.safetensors")
+        recipes = [
+            Recipe(variant, "bench", episodes, policy=policy)
+            for variant in everything[:: len(everything) // 4][:4]
+        ]
+        outcomes = [publish(recipe, force=True) for recipe in recipes]
+    return sum(outcome.steps for outcome in outcomes) / sum(outcome.seconds for outcome in outcomes)
+
+
+_PUBLISH = """
+import sys
+from benchmarks.measuring import peak_memory
+from imujoco_minari.publishing.publisher import publish_all
+from imujoco_minari.publishing.recipes import Recipe
+from imujoco_minari.variants import catalogue
+recipes = [Recipe(variant, "random", 20) for variant in catalogue("halfcheetah")[:int(sys.argv[1])]]
+assert not any(outcome.error for outcome in publish_all(recipes, force=True))
+print(peak_memory())
+"""
+
+
+def _publishing_memory(variants: int) -> int:
+    """Return the peak memory of a process that publishes so many variants."""
+    done = subprocess.run(
+        [sys.executable, "-c", _PUBLISH, str(variants)], capture_output=True, text=True, check=True
+    )
+    return int(done.stdout)
+
+
+def cores() -> int:
+    """Return how many processors this process may use."""
+    return len(os.sched_getaffinity(0))

@@ -1,0 +1,82 @@
+"""What the benchmarks work on: policies, and datasets made with them in a Minari root of their own."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+
+from imujoco_minari.errors import PolicyNotFoundError
+from imujoco_minari.policies import SIZES, Actor, expert_actor, expert_record, read_actor
+from imujoco_minari.publishing.publisher import publish
+from imujoco_minari.publishing.recipes import Recipe
+from imujoco_minari.storage import minari_root
+from imujoco_minari.variants import Variant, bases, catalogue
+
+UNTRAINED = "untrained policy, so short episodes"
+
+
+def actor_of(robot: str, folder: Path | None) -> tuple[Actor, str]:
+    """Return an actor for a robot's base variant, and where it is from.
+
+    The best there is: ``<robot>.safetensors`` in ``folder``, the shipped expert, or random weights.
+    """
+    if folder is not None and (folder / f"{robot}.safetensors").is_file():
+        return read_actor(folder / f"{robot}.safetensors"), "given policy"
+    try:
+        return expert_actor(Variant.parse(f"{robot}-base")), "expert"
+    except (PolicyNotFoundError, KeyError):
+        return _untrained(*SIZES[robot]), UNTRAINED
+
+
+def _untrained(observations: int, actions: int) -> Actor:
+    rng = np.random.default_rng(0)
+    shapes = {
+        "latent_pi.0": (256, observations),
+        "latent_pi.2": (256, 256),
+        "mu": (actions, 256),
+        "log_std": (actions, 256),
+    }
+    weights = {}
+    for name, shape in shapes.items():
+        weights[f"{name}.weight"] = rng.normal(0, shape[1] ** -0.5, shape).astype(np.float32)
+        weights[f"{name}.bias"] = np.zeros(shape[0], np.float32)
+    return Actor(weights)
+
+
+def stand_in_records(folder: Path) -> None:
+    """Write records for variants that have none, so that no row measures how a random policy is measured.
+
+    A shipped variant's record holds its random policy's returns; publishing one that has no record rolls
+    out 100 random episodes for them.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    random = {"return_mean": 0.0, "episodes": 100}
+    for variant in (*catalogue(), *bases()):
+        if not expert_record(variant):
+            (folder / f"{variant}.json").write_text(json.dumps({"random": random}))
+
+
+def save_actor(actor: Actor, path: Path) -> Path:
+    """Write an actor where a recipe can name it."""
+    from safetensors.numpy import save_file
+
+    save_file({name: np.ascontiguousarray(array) for name, array in actor.weights.items()}, path)
+    return path
+
+
+def publish_copies(variant: Variant, policy: Path, episodes: int, copies: int) -> list[str]:
+    """Publish one dataset, and copies of it under other ids: stock Minari combines no others than equals."""
+    first = publish(Recipe(variant, "bench", episodes, policy=policy)).dataset_id
+    ids = []
+    for number in range(copies):
+        dataset_id = f"bench/{variant.robot}-{number}-v0"
+        folder = minari_root.dataset_folder(dataset_id)
+        if not folder.exists():
+            shutil.copytree(minari_root.dataset_folder(first), folder)
+            path = folder / "data" / "metadata.json"
+            path.write_text(json.dumps(json.loads(path.read_text("utf-8")) | {"dataset_id": dataset_id}))
+        ids.append(dataset_id)
+    return ids

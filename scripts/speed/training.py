@@ -1,0 +1,54 @@
+"""Wall time to a variant's expert, from the records of trained ones, against SB3's SAC from scratch."""
+
+from __future__ import annotations
+
+import time
+from statistics import median
+
+from benchmarks.measuring import OURS, STOCK, Row
+
+from imujoco_minari.envs.registration import make
+from imujoco_minari.policies import expert_record, expert_variants
+
+# Where training from scratch is given up.
+STEPS = 1_000_000
+
+
+def training_row(seconds: float) -> Row:
+    """Compare the recorded wall times of warm-started experts with what a million steps of SB3 would take.
+
+    Args:
+        seconds: for how long SB3's rate is measured, on this machine, after its warm-up.
+    """
+    from stable_baselines3 import SAC
+    from stable_baselines3.common.callbacks import BaseCallback
+
+    records = [expert_record(variant) for variant in expert_variants() if variant.category != "base"]
+    if not records:
+        raise SystemExit("no trained variants to compare: `imujoco train` makes them")
+
+    class Clock(BaseCallback):
+        started: tuple[float, int] | None = None
+        rate = 0.0
+
+        def _on_step(self) -> bool:
+            if self.num_timesteps < 500:
+                return True
+            if self.started is None:
+                self.started = (time.perf_counter(), self.num_timesteps)
+            wall = time.perf_counter() - self.started[0]
+            self.rate = (self.num_timesteps - self.started[1]) / max(wall, 1e-9)
+            return wall < seconds
+
+    clock = Clock()
+    SAC("MlpPolicy", make("hopper-base"), device="cpu", seed=0).learn(STEPS, callback=clock)
+    ours = median(float(record["wall_seconds"]) for record in records)
+    scratch = STEPS / clock.rate
+    return Row(
+        f"train a variant's expert, median of {len(records)}",
+        {OURS: ours / 60, STOCK: scratch / 60},
+        "min",
+        {"times less": scratch / ours},
+        {"times less": ("least", 20.0)},
+        f"recorded wall times; SB3 at {clock.rate:.0f} steps/s, given up at a million steps",
+    )
