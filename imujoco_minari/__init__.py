@@ -42,13 +42,13 @@ __all__ = [
 ]
 
 _LAZY = {
-    "Sampler": "sampling",
-    "canonical_mjcf": "mjcf",
-    "combine_datasets": "combining",
+    "Sampler": "loading.sampling",
+    "canonical_mjcf": "envs.mjcf",
+    "combine_datasets": "publishing.combiner",
     "export": "exporting",
-    "held_out": "splits",
+    "held_out": "variants.splits",
     "load_policy": "policies",
-    "publish": "publishing",
+    "publish": "publishing.publisher",
     "verify": "verification",
 }
 

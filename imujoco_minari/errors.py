@@ -85,3 +85,9 @@ def suggestion(word: str, choices: Iterable[str]) -> str:
     """Return `` (did you mean 'x'?)`` for the choice nearest to ``word``, or an empty string."""
     near = get_close_matches(word, list(choices), n=1, cutoff=0.6)
     return f" (did you mean {near[0]!r}?)" if near else ""
+
+
+def clipped(text: object) -> str:
+    """Return a text at most 80 characters long, so that a message does not quote a hostile id in full."""
+    shown = str(text)
+    return shown if len(shown) <= 80 else shown[:77] + "..."

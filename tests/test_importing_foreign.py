@@ -22,7 +22,7 @@ from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoErr
 from imujoco_minari.importing.external import import_dataset, read_source
 from imujoco_minari.storage import file_format
 from imujoco_minari.variants import Variant
-from imujoco_minari.verification import screening
+from imujoco_minari.verification import child_process
 
 BASE = Variant.parse("hopper-base")
 KEYS = ("observations", "actions", "rewards", "terminations", "truncations")
@@ -272,9 +272,9 @@ def test_a_file_that_hangs_hdf5_is_met_by_another_process(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = write_hdf5(tmp_path / "d4rl.hdf5", flat(table(1)))
-    assert screening.survives_walk(path) is None
+    assert child_process.survives_walk(path) is None
     # The child's bound is of time, so one that waits stands for one that loops.
-    monkeypatch.setattr(screening, "_WALK", "import time\ntime.sleep(600)")
-    monkeypatch.setattr(screening, "_START_SECONDS", 1)
+    monkeypatch.setattr(child_process, "_WALK", "import time\ntime.sleep(600)")
+    monkeypatch.setattr(child_process, "_START_SECONDS", 1)
     with pytest.raises(DatasetError, match=r"d4rl.hdf5: cannot be read within 1 seconds"):
         read_source(str(path), "hopper")

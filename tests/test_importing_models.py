@@ -11,9 +11,9 @@ import original_archive
 import pytest
 
 import imujoco_minari
+from imujoco_minari.envs import mjcf
 from imujoco_minari.envs.differences import model_differences
 from imujoco_minari.envs.external_mjcf import canonical_foreign_mjcf
-from imujoco_minari.envs.robots import mjcf
 from imujoco_minari.errors import ModelError, VariantError
 from imujoco_minari.importing.catalogue_diff import common_differences, coverage, departure
 from imujoco_minari.variants import ROBOTS, Variant

@@ -26,7 +26,7 @@ from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.remotes import card, connecting, pulling, pushing, stores
 from imujoco_minari.storage import minari_root
 from imujoco_minari.storage.file_format import MAIN_FILE
-from imujoco_minari.verification import inspect, screening
+from imujoco_minari.verification import child_process, inspect
 
 HOPPER = "imujoco/hopper-massdec_25_leggeom-random-v0"
 BASE = "imujoco/hopper-base-random-v0"
@@ -103,7 +103,7 @@ def store(published: Path, root: Path, tmp_path: Path, monkeypatch: pytest.Monke
     for module in (pushing, pulling):
         monkeypatch.setattr(module, "connect", lambda *args, **kwargs: store)
     # Its child processes are tested with the verification; here they would take most of the time.
-    monkeypatch.setattr(screening, "survives", lambda data: None)
+    monkeypatch.setattr(child_process, "survives", lambda data: None)
     return store
 
 

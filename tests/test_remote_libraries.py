@@ -23,7 +23,7 @@ from imujoco_minari.errors import RemoteError
 from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.remotes import connecting, stores
 from imujoco_minari.storage import minari_root
-from imujoco_minari.verification import screening
+from imujoco_minari.verification import child_process
 
 # huggingface_hub 2.4 uses httpx in a way that httpx would have changed.
 pytestmark = pytest.mark.filterwarnings("ignore:Use 'content=:DeprecationWarning")
@@ -45,7 +45,7 @@ def point_at(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
 def hub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hub]:
     """A Hub on loopback that ``huggingface_hub`` takes for the real one, and a token for it."""
     monkeypatch.setenv("HF_TOKEN", TOKEN)
-    monkeypatch.setattr(screening, "survives", lambda data: None)
+    monkeypatch.setattr(child_process, "survives", lambda data: None)
     with HubServer() as server:
         point_at(server.url, monkeypatch)
         monkeypatch.setattr(constants, "HF_HUB_DISABLE_XET", True)

@@ -7,8 +7,9 @@ import pytest
 from synthetic_arrays import BASE, LEG, synthetic
 
 from imujoco_minari.errors import CatalogueError, DatasetError, VariantError
+from imujoco_minari.loading.sampling import few_shot
 from imujoco_minari.variants import CATEGORIES, ROBOTS, Variant, catalogue
-from imujoco_minari.variants.splits import few_shot, held_out, held_out_names, parse_splits
+from imujoco_minari.variants.splits import held_out, held_out_names, parse_splits
 
 SPLIT = '[x-v1]\nrobot = "hopper"\ndescription = "d"\nheld_out = [{ category = ["mass"] }]\n'
 

@@ -17,7 +17,7 @@ from imujoco_minari.errors import DatasetError, DatasetNotFoundError
 from imujoco_minari.publishing.combiner import combine_datasets
 from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.storage import file_format, minari_root
-from imujoco_minari.verification import inspect, screening, verify
+from imujoco_minari.verification import child_process, inspect, verify
 
 ID = "imujoco/hopper-base-random-v0"
 EPISODES = 3
@@ -433,7 +433,7 @@ class TestScreening:
     """Files that would take the process down."""
 
     def child(self, monkeypatch: pytest.MonkeyPatch, code: str) -> None:
-        monkeypatch.setattr(screening, "_CHECK", code)
+        monkeypatch.setattr(child_process, "_CHECK", code)
 
     def test_a_crash_is_a_finding(self, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.child(monkeypatch, "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
@@ -452,8 +452,8 @@ class TestScreening:
 
     def test_a_hang_is_a_finding(self, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.child(monkeypatch, "import time; time.sleep(60)")
-        monkeypatch.setattr(screening, "_START_SECONDS", 0.2)
-        monkeypatch.setattr(screening, "_BYTES_PER_SECOND", 10**12)
+        monkeypatch.setattr(child_process, "_START_SECONDS", 0.2)
+        monkeypatch.setattr(child_process, "_BYTES_PER_SECOND", 10**12)
         assert "cannot be read within" in str(verify(ID)[0])
 
     def test_a_child_that_says_nothing_is_a_finding(

@@ -1,1 +1,27 @@
-"""."""
+"""Variants as Gymnasium environments: from a variant to an MJCF text to an environment.
+
+Datasets store the entry points ``imujoco_minari.envs:HopperVariantEnv`` and so on, so these names stay.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from imujoco_minari.envs.registration import (
+    collection_spec,
+    environment_spec,
+    make,
+    register,
+    register_catalogue,
+)
+
+__all__ = ["collection_spec", "environment_spec", "make", "register", "register_catalogue"]
+
+
+def __getattr__(name: str) -> Any:
+    # The environments import MuJoCo, which takes longer than the rest of the package.
+    if name.endswith("Env"):
+        from imujoco_minari.envs import robots
+
+        return getattr(robots, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

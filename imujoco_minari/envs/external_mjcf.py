@@ -15,7 +15,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from imujoco_minari.envs.robots import mjcf
+from imujoco_minari.envs import mjcf
 from imujoco_minari.errors import ModelError
 from imujoco_minari.variants import Variant
 

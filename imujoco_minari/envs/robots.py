@@ -21,7 +21,7 @@ from gymnasium.envs.mujoco.mujoco_env import MujocoEnv
 from gymnasium.envs.mujoco.walker2d_v5 import Walker2dEnv
 from gymnasium.utils import EzPickle
 
-from imujoco_minari.envs.robots import mjcf
+from imujoco_minari.envs import mjcf
 from imujoco_minari.errors import VariantError, suggestion
 from imujoco_minari.variants import Variant, specification
 

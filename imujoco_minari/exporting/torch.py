@@ -42,7 +42,7 @@ class TransitionDataset(Dataset[Batch]):
 
 
 class WindowDataset(Dataset[Batch]):
-    """Stretches of ``length`` steps, each a dict of the tensors of :class:`~imujoco_minari.loading.sampling.Windows`.
+    """Windows of ``length`` steps, as dicts of tensors: :class:`~imujoco_minari.loading.sampling.Windows`.
 
     Args:
         data: the arrays.

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imujoco_minari.errors import DatasetError, VariantError, suggestion
+from imujoco_minari.loading import selection
 from imujoco_minari.loading.load import Arrays, Transitions, arrays
 from imujoco_minari.loading.transitions import Packed, gather_transitions, take
 
@@ -51,6 +52,13 @@ class Shots(NamedTuple):
     observations: Any
     actions: Any
     mask: Any
+
+
+class FewShot(NamedTuple):
+    """Episodes to adapt on and to be judged by, of the same variants."""
+
+    support: Arrays
+    query: Arrays
 
 
 class Sampler:
@@ -136,6 +144,34 @@ class Sampler:
         if not 0 <= idx < len(self):
             raise VariantError(f"variant {idx} is none of the sampler's, 0 to {len(self) - 1}")
         return int(idx)
+
+
+def few_shot(data: Arrays, *, shots: int = 5, queries: int | None = None, seed: int = 0) -> FewShot:
+    """Split every variant's episodes into a support and a query set.
+
+    Args:
+        data: arrays of one or many variants.
+        shots: support episodes of each variant (and tier).
+        queries: query episodes of each; None for all the others.
+        seed: draws which are which; a variant's episodes do not depend on the others in ``data``.
+
+    Raises:
+        DatasetError: when a variant has too few episodes.
+    """
+    if shots < 1 or (queries is not None and queries < 1):
+        raise DatasetError("a support and a query set have at least one episode of each variant")
+    support: list[int] = []
+    query: list[int] = []
+    for order in selection.shuffled(data.origins, seed):
+        needed = shots + (1 if queries is None else queries)
+        if len(order) < needed:
+            raise DatasetError(
+                f"{data.origins[order[0]].variant} has {len(order)} episodes, "
+                f"and {shots} shots and a query set need {needed}"
+            )
+        support += sorted(order[:shots])
+        query += sorted(order[shots : None if queries is None else shots + queries])
+    return FewShot(data.select(support), data.select(query))
 
 
 def gather_windows(data: Arrays, starts: Array, length: int) -> Windows:

@@ -20,7 +20,7 @@ from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoErr
 from imujoco_minari.remotes.connecting import connect
 from imujoco_minari.remotes.stores import Store, explained, metadata, sources_of
 from imujoco_minari.storage import minari_root
-from imujoco_minari.verification import Finding, inspect, screening
+from imujoco_minari.verification import Finding, child_process, inspect
 from imujoco_minari.verification.identity import read_metadata
 
 
@@ -138,7 +138,7 @@ def _same_simulator(stated: dict[str, Any]) -> bool:
 
 
 def _findings(data: Path, stated: dict[str, Any], dataset_id: str, replay: bool) -> list[Finding]:
-    fatal = screening.survives(data)
+    fatal = child_process.survives(data)
     if fatal is not None:
         return [fatal]
     if stated.get("dataset_id") != dataset_id:

@@ -1,26 +1,20 @@
-"""What a variant is, how its id is written and read, and which variants the catalogue lists.
+"""Variant ids: what a variant is, how its id is written and read, and which ids the catalogue lists.
 
 The words are the benchmark's: a *variant* is a robot with one *category* of physical parameter
-changed by a signed *percent* on one *body*. The catalogue is data (``env_specs/*.toml``); this
-module holds the one parser and the one formatter of ids and knows nothing of MuJoCo.
+changed by a signed *percent* on one *body*. This module holds the one parser and the one formatter of ids.
 """
 
 from __future__ import annotations
 
 import re
-import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
-from importlib import resources
-from types import MappingProxyType
-from typing import Any
 
-from imujoco_minari.errors import CatalogueError, VariantError, suggestion
+from imujoco_minari.errors import VariantError, clipped, suggestion
+from imujoco_minari.variants.robots import CATEGORIES, ROBOTS, specification
 
 NAMESPACE = "imujoco"
-ROBOTS = ("hopper", "halfcheetah", "walker2d")
-CATEGORIES = ("mass", "joint", "length", "friction")
 BASE = "base"
 EXPERT = "expert"
 # Beyond this a model still compiles but means nothing; it also bounds hostile ids.
@@ -101,22 +95,22 @@ class Variant:
         match = _ID.fullmatch(name)
         if match is None:
             raise VariantError(
-                f"malformed variant id {_clip(text)!r}{suggestion(name[:80], _catalogue_ids())}; "
+                f"malformed variant id {clipped(text)!r}{suggestion(name[:80], _catalogue_ids())}; "
                 "valid: <robot>-<category><inc|dec>_<percent>_<body>, "
                 "as in hopper-massdec_25_leggeom, or <robot>-base"
             )
         digits = match["percent"]
         if len(digits) > 1 and digits[0] == "0":
-            raise VariantError(f"{_clip(text)!r}: write the percent without leading zeros")
+            raise VariantError(f"{clipped(text)!r}: write the percent without leading zeros")
         if len(digits) > len(str(MAX_PERCENT)):
-            raise VariantError(f"{_clip(text)!r}: the percent is too large; valid: at most {MAX_PERCENT}")
+            raise VariantError(f"{clipped(text)!r}: the percent is too large; valid: at most {MAX_PERCENT}")
         if digits == "0" and match["sign"] == "dec":
-            raise VariantError(f"{_clip(text)!r}: write a change of 0 % as inc_0")
+            raise VariantError(f"{clipped(text)!r}: write a change of 0 % as inc_0")
         percent = int(digits) if match["sign"] == "inc" else -int(digits)
         try:
             return cls(match["robot"], match["category"], percent, match["body"])
         except VariantError as error:
-            raise VariantError(f"{_clip(text)!r}: {error}") from None
+            raise VariantError(f"{clipped(text)!r}: {error}") from None
 
     def __str__(self) -> str:
         if self.category == BASE:
@@ -164,55 +158,10 @@ class Variant:
         """
         if not _TIER.fullmatch(tier) or len(tier) > 40:
             raise VariantError(
-                f"malformed tier {_clip(tier)!r}; valid: lower-case words, as in expert, medium, random"
+                f"malformed tier {clipped(tier)!r}; valid: lower-case words, as in expert, medium, random"
             )
         suffix = "" if tier == EXPERT else f"-{tier}"
         return f"{NAMESPACE}/{self}{suffix}-v0"
-
-
-@dataclass(frozen=True)
-class Change:
-    """What the catalogue lists for one category of one robot.
-
-    Attributes:
-        percents: the published signed changes.
-        bodies: id name -> MJCF names of the geoms or joints behind it.
-    """
-
-    percents: tuple[int, ...]
-    bodies: Mapping[str, tuple[str, ...]]
-
-
-@dataclass(frozen=True)
-class RobotSpecification:
-    """One robot's page of the catalogue.
-
-    Attributes:
-        environment: id of the Gymnasium environment that is perturbed.
-        model: file name of its MJCF among Gymnasium's assets.
-        feet: MJCF names of the geoms that stand on the floor.
-        healthy_z_range: torso heights (m) outside which an episode ends; None where no height ends it.
-        changes: category -> its percents and bodies.
-    """
-
-    environment: str
-    model: str
-    feet: tuple[str, ...]
-    healthy_z_range: tuple[float, float] | None
-    changes: Mapping[str, Change]
-
-
-def specification(robot: str) -> RobotSpecification:
-    """Return the catalogue's page for ``robot``.
-
-    Raises:
-        VariantError: when there is no such robot.
-    """
-    if robot not in ROBOTS:
-        raise VariantError(
-            f"unknown robot {_clip(robot)!r}{suggestion(str(robot)[:80], ROBOTS)}; valid: {', '.join(ROBOTS)}"
-        )
-    return _specifications()[robot]
 
 
 def catalogue(robot: str | None = None, category: str | None = None) -> tuple[Variant, ...]:
@@ -225,7 +174,7 @@ def catalogue(robot: str | None = None, category: str | None = None) -> tuple[Va
         specification(robot)
     if category is not None and category not in CATEGORIES:
         raise VariantError(
-            f"unknown category {_clip(category)!r}{suggestion(category[:80], CATEGORIES)}; "
+            f"unknown category {clipped(category)!r}{suggestion(category[:80], CATEGORIES)}; "
             f"valid: {', '.join(CATEGORIES)}"
         )
     return tuple(
@@ -249,81 +198,12 @@ def parse_dataset_id(dataset_id: str) -> tuple[Variant, str]:
     match = _DATASET_ID.fullmatch(dataset_id)
     if match is None or match["namespace"] != NAMESPACE:
         raise VariantError(
-            f"{_clip(dataset_id)!r} is not the dataset id of a variant; "
+            f"{clipped(dataset_id)!r} is not the dataset id of a variant; "
             f"valid: {NAMESPACE}/<variant>[-<tier>]-v0, as in {NAMESPACE}/hopper-massdec_25_leggeom-v0"
         )
     words = match["name"].split("-")
     variant = Variant.parse("-".join(words[:2]))
     return variant, "-".join(words[2:]) or EXPERT
-
-
-def parse_specification(text: str, name: str) -> RobotSpecification:
-    """Return the robot specification written in the TOML ``text`` of the file ``name``.
-
-    Raises:
-        CatalogueError: when the text is no TOML, or a key is missing, unknown or of the wrong kind.
-    """
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise CatalogueError(f"{name}: not TOML: {error}") from None
-    known = {"environment", "model", "feet", "healthy_z_range", *CATEGORIES}
-    unknown = sorted(set(data) - known)
-    if unknown:
-        raise CatalogueError(
-            f"{name}: unknown key {unknown[0]!r}{suggestion(unknown[0], known)}; "
-            f"valid: {', '.join(sorted(known))}"
-        )
-    feet = tuple(_strings(data, "feet", name))
-    z_range = data.get("healthy_z_range")
-    if z_range is not None and not (
-        isinstance(z_range, list) and len(z_range) == 2 and all(isinstance(z, float) for z in z_range)
-    ):
-        raise CatalogueError(f"{name}: healthy_z_range must be two floats, in metres")
-    return RobotSpecification(
-        environment=_string(data, "environment", name),
-        model=_string(data, "model", name),
-        feet=feet,
-        healthy_z_range=None if z_range is None else (z_range[0], z_range[1]),
-        changes=MappingProxyType({category: _change(data, category, feet, name) for category in CATEGORIES}),
-    )
-
-
-def _change(data: dict[str, Any], category: str, feet: tuple[str, ...], name: str) -> Change:
-    table = data.get(category)
-    if not isinstance(table, dict) or set(table) != {"percents", "bodies"}:
-        raise CatalogueError(f"{name}: [{category}] must hold percents and bodies, and nothing else")
-    percents = table["percents"]
-    if not isinstance(percents, list) or not all(type(p) is int and p > -100 and p != 0 for p in percents):
-        raise CatalogueError(f"{name}: [{category}] percents must be whole numbers above -100, and not 0")
-    names = _strings(table, "bodies", f"{name}: [{category}]")
-    return Change(
-        percents=tuple(percents),
-        bodies=MappingProxyType({n.replace("_", ""): feet if n == "feet" else (n,) for n in names}),
-    )
-
-
-def _string(data: dict[str, Any], key: str, name: str) -> str:
-    value = data.get(key)
-    if not isinstance(value, str):
-        raise CatalogueError(f"{name}: {key} must be text")
-    return value
-
-
-def _strings(data: dict[str, Any], key: str, name: str) -> list[str]:
-    value = data.get(key)
-    if not isinstance(value, list) or not value or not all(isinstance(item, str) for item in value):
-        raise CatalogueError(f"{name}: {key} must be a list of names")
-    return value
-
-
-@cache
-def _specifications() -> Mapping[str, RobotSpecification]:
-    folder = resources.files("imujoco_minari.env_specs")
-    return {
-        robot: parse_specification(folder.joinpath(f"{robot}.toml").read_text("utf-8"), f"{robot}.toml")
-        for robot in ROBOTS
-    }
 
 
 @cache
@@ -333,7 +213,7 @@ def _catalogue() -> tuple[Variant, ...]:
 
 def _listed() -> Iterator[Variant]:
     for robot in ROBOTS:
-        for category, change in _specifications()[robot].changes.items():
+        for category, change in specification(robot).changes.items():
             for body in change.bodies:
                 for percent in change.percents:
                     yield Variant(robot, category, percent, body)
@@ -342,9 +222,3 @@ def _listed() -> Iterator[Variant]:
 @cache
 def _catalogue_ids() -> tuple[str, ...]:
     return tuple(str(variant) for variant in (*_catalogue(), *bases()))
-
-
-def _clip(text: object) -> str:
-    """Shorten what a message quotes, so that a hostile id does not fill the screen."""
-    shown = str(text)
-    return shown if len(shown) <= 80 else shown[:77] + "..."

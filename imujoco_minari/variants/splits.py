@@ -1,6 +1,6 @@
-"""Splits for generalisation: held-out variants, fixed and named, and few shots of each variant.
+"""Splits for generalisation: held-out variants, fixed and named.
 
-The held-out splits are data (``splits.toml``), so that a paper can name one and mean the same variants.
+The splits are data (``splits.toml``), so that a paper can name one and mean the same variants.
 They are over the catalogue of 154; the bases are on neither side.
 """
 
@@ -12,11 +12,9 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
-from imujoco_minari.errors import CatalogueError, DatasetError, VariantError, suggestion
-from imujoco_minari.loading import selection
-from imujoco_minari.loading.load import Arrays
+from imujoco_minari.errors import CatalogueError, VariantError, suggestion
 from imujoco_minari.variants import Variant, catalogue, specification
 
 _RULES = ("category", "body", "percent")
@@ -39,13 +37,6 @@ class HeldOut:
     description: str
     train: tuple[str, ...]
     test: tuple[str, ...]
-
-
-class FewShot(NamedTuple):
-    """Episodes to adapt on and to be judged by, of the same variants."""
-
-    support: Arrays
-    query: Arrays
 
 
 def held_out(name: str) -> HeldOut:
@@ -71,34 +62,6 @@ def held_out_names(robot: str | None = None) -> tuple[str, ...]:
     if robot is not None:
         specification(robot)
     return tuple(name for name, split in _splits().items() if robot in (None, split.robot))
-
-
-def few_shot(data: Arrays, *, shots: int = 5, queries: int | None = None, seed: int = 0) -> FewShot:
-    """Split every variant's episodes into a support and a query set.
-
-    Args:
-        data: arrays of one or many variants.
-        shots: support episodes of each variant (and tier).
-        queries: query episodes of each; None for all the others.
-        seed: draws which are which; a variant's episodes do not depend on the others in ``data``.
-
-    Raises:
-        DatasetError: when a variant has too few episodes.
-    """
-    if shots < 1 or (queries is not None and queries < 1):
-        raise DatasetError("a support and a query set have at least one episode of each variant")
-    support: list[int] = []
-    query: list[int] = []
-    for order in selection.shuffled(data.origins, seed):
-        needed = shots + (1 if queries is None else queries)
-        if len(order) < needed:
-            raise DatasetError(
-                f"{data.origins[order[0]].variant} has {len(order)} episodes, "
-                f"and {shots} shots and a query set need {needed}"
-            )
-        support += sorted(order[:shots])
-        query += sorted(order[shots : None if queries is None else shots + queries])
-    return FewShot(data.select(support), data.select(query))
 
 
 def parse_splits(text: str, name: str) -> Mapping[str, HeldOut]:
@@ -146,5 +109,5 @@ def _follows(variant: Variant, rule: Mapping[str, Any]) -> bool:
 
 @cache
 def _splits() -> Mapping[str, HeldOut]:
-    file = resources.files("imujoco_minari").joinpath("splits.toml")
+    file = resources.files("imujoco_minari.variants").joinpath("splits.toml")
     return parse_splits(file.read_text("utf-8"), "splits.toml")

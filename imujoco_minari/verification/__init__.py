@@ -18,7 +18,7 @@ import numpy as np
 from imujoco_minari.errors import DatasetNotFoundError, JobError
 from imujoco_minari.parallel import run_jobs
 from imujoco_minari.storage import file_format, minari_root
-from imujoco_minari.verification import digests, screening
+from imujoco_minari.verification import child_process, digests
 from imujoco_minari.verification.check import check, unreadable
 from imujoco_minari.verification.findings import MAX_FINDINGS, Checked, Finding, shown
 from imujoco_minari.verification.identity import original_models, read_metadata
@@ -54,7 +54,7 @@ def verify(
             f"{dataset_id} is not in the Minari root, at {folder}; see `minari list local`"
         )
     data = folder / "data"
-    checked = screening.checked_apart(data, jobs if backend is None else 1)
+    checked = child_process.checked_apart(data, jobs if backend is None else 1)
     if isinstance(checked, Finding):
         # What killed or held the child was HDF5; the files' own digests need none.
         metadata = read_metadata(data)

@@ -16,7 +16,7 @@ import h5py
 
 from imujoco_minari.storage import file_format
 from imujoco_minari.variants.original import CATALOGUE, variant_of
-from imujoco_minari.verification import digests, identity, looking, structure
+from imujoco_minari.verification import bounded_read, digests, identity, structure
 from imujoco_minari.verification.findings import MAX_FINDINGS, Checked, Finding, same, shown
 
 
@@ -71,7 +71,7 @@ def check_part(data: Path, number: int = 0, count: int = 1) -> Part:
     part = Part()
     try:
         _check(part, data, number, count)
-    except looking.UnreadableError as error:
+    except bounded_read.UnreadableError as error:
         part.findings.append(error.finding)
         part.readable = False
     except Exception as error:  # h5py raises anything at all on a damaged file; none of it is ours
@@ -99,25 +99,29 @@ def unreadable(data: Path, error: Exception) -> Finding:
 def _check(part: Part, data: Path, number: int, count: int) -> None:
     missing = [name for name in ("metadata.json", file_format.MAIN_FILE) if not (data / name).is_file()]
     if missing:
-        raise looking.UnreadableError(missing[0], "is missing")
+        raise bounded_read.UnreadableError(missing[0], "is missing")
     metadata = identity.read_metadata(data)
     if not metadata:
-        raise looking.UnreadableError("metadata.json", "is no JSON object")
+        raise bounded_read.UnreadableError("metadata.json", "is no JSON object")
     if number == 0:
         # Before the file is opened: what its metadata would run is told even where it cannot be read.
         part.findings += [*digests.files(data, metadata), *identity.loadable(metadata)]
     with h5py.File(file_format.main_file(data), "r") as file:
-        looking.check_names(file)
-        part.episodes, root = len(file), looking.attributes(file.id, "")
+        bounded_read.check_names(file)
+        part.episodes, root = len(file), bounded_read.attributes(file.id, "")
         for episode in range(part.episodes * number // count, part.episodes * (number + 1) // count):
-            _check_episode(part, looking.look(file, data, episode), episode, root, metadata)
+            _check_episode(part, bounded_read.look(file, data, episode), episode, root, metadata)
             if len(part.findings) >= MAX_FINDINGS:
                 part.sound = False
                 return
 
 
 def _check_episode(
-    part: Part, episode: looking.Episode, number: int, root: Mapping[str, Any], metadata: Mapping[str, Any]
+    part: Part,
+    episode: bounded_read.Episode,
+    number: int,
+    root: Mapping[str, Any],
+    metadata: Mapping[str, Any],
 ) -> None:
     part.steps += structure.length(episode)
     part.linked &= episode.linked
@@ -153,7 +157,7 @@ def _check_whole(findings: list[Finding], data: Path, parts: Sequence[Part]) -> 
     if obstacles or any(identity.loadable(metadata)) or not all(part.sound for part in parts):
         return False
     with h5py.File(file_format.main_file(data), "r") as file:
-        root = looking.attributes(file.id, "")
+        root = bounded_read.attributes(file.id, "")
     variants = dict.fromkeys(variant_of(named) for part in parts for named in part.variants)
     findings += identity.whole(root, metadata, list(variants))
     if all(part.intact for part in parts):

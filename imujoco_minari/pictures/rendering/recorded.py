@@ -103,7 +103,7 @@ def read_recorded(dataset_id: str, episode: int = 0) -> Recorded:
     path = file_format.main_file(minari_root.dataset_folder(dataset_id) / "data")
     if not path.is_file():
         raise DatasetNotFoundError(
-            f"{dataset_id} is not in the Minari root, at {minari_root.datasets_root()}; see `minari list local`"
+            f"{dataset_id} is not in the Minari root, {minari_root.datasets_root()}; see `minari list local`"
         )
     try:
         with h5py.File(path, "r") as file:
