@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from imujoco_minari.errors import DatasetError, DatasetExistsError, DatasetNotFoundError
+from imujoco_minari.publishing import combiner
 from imujoco_minari.publishing.combiner import collection_id, combine_datasets, published_ids
-from imujoco_minari.publishing.publisher import combiner, publish
+from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.verification import verify
 from imujoco_minari.verification.findings import Finding

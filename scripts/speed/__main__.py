@@ -38,7 +38,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         os.environ["MINARI_DATASETS_PATH"] = str(Path(folder) / "root")
         rows = _run(set(options.rows) or set(ROWS) - {"train"}, options)
-    from benchmarks.measuring import table
+    from scripts.speed.measuring import table
 
     print("\n" + table(rows))
     print(f"\nfigures written to {options.output}")
@@ -46,10 +46,10 @@ def main() -> None:
 
 def _run(wanted: set[str], options: argparse.Namespace) -> list:
     from benchmarks import collecting, datasets, starting, training
-    from benchmarks.subjects import actor_of, publish_copies, save_actor, stand_in_records
 
     from imujoco_minari.policies import policies_folder
     from imujoco_minari.variants import ROBOTS, Variant
+    from scripts.speed.subjects import actor_of, publish_copies, save_actor, stand_in_records
 
     if "train" not in wanted:
         os.environ["IMUJOCO_HOME"] = str(Path(os.environ["MINARI_DATASETS_PATH"]).with_name("home"))

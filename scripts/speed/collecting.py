@@ -16,8 +16,6 @@ from typing import Any
 import gymnasium as gym
 import h5py
 import minari
-from benchmarks.measuring import LIMIT, OURS, STOCK, Row, rates, ratio, take_turns
-from benchmarks.subjects import UNTRAINED, actor_of, save_actor
 from minari.dataset.minari_storage import MinariStorage
 
 from imujoco_minari.envs.registration import make
@@ -30,6 +28,8 @@ from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.variants import ROBOTS, Variant, catalogue, specification
 from imujoco_minari.verification import verify
+from scripts.speed.measuring import LIMIT, OURS, STOCK, Row, rates, ratio, take_turns
+from scripts.speed.subjects import UNTRAINED, actor_of, save_actor
 
 # What collection is to reach: times the stock way, and share of the bare stepping rate.
 TARGETS = {"halfcheetah": (4.0, 0.75), "hopper": (2.2, 0.85), "walker2d": (2.2, 0.85)}
@@ -160,7 +160,7 @@ def jobs_row(policies: Path | None, rounds: int, episodes: int) -> Row:
 _BARE = """
 import sys
 from pathlib import Path
-from benchmarks.collecting import _bare_stepping
+from scripts.speed.collecting import _bare_stepping
 from imujoco_minari.envs.registration import make
 run = _bare_stepping(Path(sys.argv[1]), make("halfcheetah-base"))
 print("ready", flush=True)
@@ -291,7 +291,7 @@ def _publishing_rate(robot: str, actor: Actor, episodes: int) -> float:
 
 _PUBLISH = """
 import sys
-from benchmarks.measuring import peak_memory
+from scripts.speed.measuring import peak_memory
 from imujoco_minari.publishing.publisher import publish_all
 from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.variants import catalogue

@@ -16,7 +16,6 @@ from typing import Any
 import minari
 import numpy as np
 import torch
-from benchmarks.measuring import LIMIT, OURS, STOCK, Row, ratio, take_turns, times
 
 from imujoco_minari.exporting.adapters import to_d3rlpy, to_torchrl
 from imujoco_minari.loading.load import STEP_ARRAYS, Arrays, arrays
@@ -24,6 +23,7 @@ from imujoco_minari.loading.sampling import Sampler, episode_batches, transition
 from imujoco_minari.loading.transitions import pack
 from imujoco_minari.publishing.combiner import combine_datasets
 from imujoco_minari.storage import file_format, minari_root
+from scripts.speed.measuring import LIMIT, OURS, STOCK, Row, ratio, take_turns, times
 
 
 def combining_row(ids: list[str], rounds: int) -> Row:
@@ -77,7 +77,7 @@ def combining_row(ids: list[str], rounds: int) -> Row:
 _LOADS = {
     "base": "import minari; from imujoco_minari.loading.load import arrays; size = 0",
     OURS: "from imujoco_minari.loading.load import arrays; a = arrays(ids); size = len(a)",
-    STOCK: "import minari; from benchmarks.datasets import stock_load; a = stock_load(ids); size = len(a[0])",
+    STOCK: "import minari; from scripts.speed.datasets import stock_load; a = stock_load(ids); size = len(a[0])",
 }
 
 
@@ -142,7 +142,7 @@ def stock_load(ids: list[str]) -> tuple[Any, ...]:
 
 def _peak_memory(code: str, ids: list[str]) -> int:
     """Return the peak resident memory, in bytes, of a process that runs ``code``."""
-    script = f"ids = {ids!r}\n{code}\nfrom benchmarks.measuring import peak_memory\nprint(peak_memory())"
+    script = f"ids = {ids!r}\n{code}\nfrom scripts.speed.measuring import peak_memory\nprint(peak_memory())"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     return int(done.stdout.split()[-1])
 

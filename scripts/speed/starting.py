@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 
-from benchmarks.measuring import Row, take_turns, times
+from scripts.speed.measuring import Row, take_turns, times
 
 
 def starting_rows(rounds: int) -> list[Row]:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import time
 from statistics import median
 
-from benchmarks.measuring import OURS, STOCK, Row
-
 from imujoco_minari.envs.registration import make
 from imujoco_minari.policies import expert_record, expert_variants
+from scripts.speed.measuring import OURS, STOCK, Row
 
 # Where training from scratch is given up.
 STEPS = 1_000_000
