@@ -77,7 +77,7 @@ def combining_row(ids: list[str], rounds: int) -> Row:
 _LOADS = {
     "base": "import minari; from imujoco_minari.loading.load import arrays; size = 0",
     OURS: "from imujoco_minari.loading.load import arrays; a = arrays(ids); size = len(a)",
-    STOCK: "import minari; from scripts.speed.datasets import stock_load; a = stock_load(ids); size = len(a[0])",
+    STOCK: "from scripts.speed.datasets import stock_load; a = stock_load(ids); size = len(a[0])",
 }
 
 

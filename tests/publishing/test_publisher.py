@@ -13,8 +13,8 @@ import h5py
 import minari
 import numpy as np
 import pytest
+from random_actors import random_actor
 from safetensors.numpy import save_file
-from test_policies import random_actor
 
 import imujoco_minari
 from imujoco_minari.envs.mjcf import canonical_mjcf

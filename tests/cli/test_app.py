@@ -9,8 +9,8 @@ from pathlib import Path
 
 import minari
 import pytest
+from random_actors import random_actor
 from safetensors.numpy import save_file
-from test_policies import random_actor
 
 from imujoco_minari.cli.app import run
 

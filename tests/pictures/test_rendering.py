@@ -591,7 +591,7 @@ def test_portraits_of_one_row_are_seen_from_one_distance(opengl: str) -> None:
 
 
 def test_the_readmes_picture_is_there() -> None:
-    readme = Path(__file__).parent.parent / "README.md"
+    readme = Path(__file__).parents[2] / "README.md"
     assert "(docs/images/variants.png)" in readme.read_text("utf-8")
     with Image.open(readme.parent / "docs" / "images" / "variants.png") as picture:
         assert picture.width > 1000

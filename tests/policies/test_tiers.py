@@ -8,8 +8,8 @@ from pathlib import Path
 import minari
 import numpy as np
 import pytest
+from random_actors import random_actor
 from safetensors.numpy import save_file
-from test_policies import random_actor
 
 from imujoco_minari.errors import DatasetError, PolicyNotFoundError
 from imujoco_minari.policies import Actor, policies_folder

@@ -14,7 +14,7 @@ import pytest
 from imujoco_minari.policies.experts import shipped_folder
 from imujoco_minari.variants import catalogue
 
-SCRIPT = Path(__file__).parents[1] / "scripts" / "generate-docs"
+SCRIPT = Path(__file__).parents[2] / "scripts" / "generate-docs"
 
 
 @pytest.fixture(scope="module")
