@@ -11,7 +11,7 @@ from imujoco_minari.cli.app import AsJson, app, out, print_json
 
 Ids = Annotated[list[str], typer.Argument(help="Dataset ids.")]
 Output = Annotated[Path | None, typer.Option("--output", "-o", help="The file or folder to make.")]
-Force = Annotated[bool, typer.Option("--force", help="Replace what is there.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace an earlier export, and nothing else.")]
 Seed = Annotated[int, typer.Option("--seed", "-s", min=0, help="Seed of what is drawn.")]
 
 

@@ -21,7 +21,7 @@ Remote = Annotated[
 Token = Annotated[
     str | None, typer.Option("--token", help="Hugging Face token, or a service account's key file.")
 ]
-Force = Annotated[bool, typer.Option("--force", help="Replace what has the id.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace what has one of the ids.")]
 
 
 @app.command("push")
@@ -81,7 +81,8 @@ def pull_datasets(
 ) -> None:
     """Download datasets from a remote, and check every digest before one is visible.
 
-    A dataset that is here already is left alone. The datasets that a collection is made of come with it.
+    A dataset that is here already is left alone. The datasets that a collection is made of come with it;
+    --force does not replace them.
 
     Example: `imujoco pull imujoco/hopper-massdec_25_leggeom-v0 --remote hf://user`
     """

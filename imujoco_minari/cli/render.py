@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from imujoco_minari.cli.app import AsJson, app, out, print_json, progress, say
-from imujoco_minari.errors import RenderingError
+from imujoco_minari.errors import RenderingError, StorageError
 from imujoco_minari.variants import EXPERT, Variant
 
 if TYPE_CHECKING:
@@ -35,6 +35,7 @@ def render(
     ] = None,
     seconds: Seconds = None,
     size: Annotated[str, typer.Option("--size", help="Pixels of a robot's picture.")] = "640x480",
+    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Render a variant moved by its policy, or a recorded episode of a dataset, replayed exactly.
@@ -54,6 +55,8 @@ def render(
         target = Path(f"{name}.{'png' if sheet else 'mp4'}")
     if check_format(target) != ".png" and sheet:
         raise RenderingError(f"a sheet is one picture: give --out a .png, not {str(target)!r}")
+    if target.exists() and not force:
+        raise StorageError(f"{target} is already there; it was left alone (--force replaces it)")
     motions = _motions(what, episode, tier, policy, beside_base, seconds)
     for motion in motions:
         if motion.divergence > 0:

@@ -210,6 +210,9 @@ def policies(
 def export(
     variant: Annotated[str, typer.Argument(help="A variant id.")],
     path: Annotated[Path, typer.Argument(help="The .zip to write.")],
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace an earlier export, and nothing else.")
+    ] = False,
 ) -> None:
     """Write a variant's expert as a zip that stable_baselines3.SAC.load opens.
 
@@ -217,7 +220,7 @@ def export(
     """
     from imujoco_minari.policies.sb3 import export_zip
 
-    written = export_zip(Variant.parse(variant), path)
+    written = export_zip(Variant.parse(variant), path, force=force)
     out.print(f"wrote {written}: `stable_baselines3.SAC.load({str(written)!r})` opens it")
 
 

@@ -57,11 +57,11 @@ def export(
         format: ``d4rl``, ``di-engine``, ``rlds``, ``lerobot`` or ``npz``.
         target: the file or folder to make.
         states_only: leave actions and rewards out, for imitation from observation.
-        force: replace a file or folder of that name.
+        force: replace a file or folder of that name, if it is an export; nothing else is replaced.
 
     Raises:
         DatasetError: when there is no such format.
-        DatasetExistsError: when ``target`` is there already.
+        DatasetExistsError: when ``target`` is there already, and ``force`` is false or it is no export.
         DependencyError: when the format needs a package that is not installed.
         StorageError: when ``target`` cannot be written.
     """

@@ -42,7 +42,7 @@ class Preferences:
         """Write a ``.npz`` file: ``first_observations`` (P, L, obs) and so on, ``preferred``, ``scores``.
 
         Raises:
-            DatasetExistsError: when ``path`` is there already and ``force`` is false.
+            DatasetExistsError: when ``path`` is there already, and ``force`` is false or it is no such file.
             StorageError: when it cannot be written.
         """
         columns = {"preferred": self.preferred, "scores": self.scores}

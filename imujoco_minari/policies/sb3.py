@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from imujoco_minari.envs.registration import make
-from imujoco_minari.errors import PolicyError, StorageError
+from imujoco_minari.errors import PolicyError
+from imujoco_minari.exporting.targets import new_target
 from imujoco_minari.policies import Actor, expert_actor
 from imujoco_minari.variants import Variant
 
 
-def export_zip(variant: Variant, path: Path, actor: Actor | None = None) -> Path:
+def export_zip(variant: Variant, path: Path, actor: Actor | None = None, *, force: bool = False) -> Path:
     """Write an actor as a zip that ``stable_baselines3.SAC.load`` opens, and return its path.
 
     The critics in it are new and untrained: only actors are shipped.
@@ -19,8 +19,10 @@ def export_zip(variant: Variant, path: Path, actor: Actor | None = None) -> Path
         variant: the variant whose spaces the zip states.
         path: the zip to write; ``.zip`` is added where it is missing.
         actor: the actor; None takes the variant's expert.
+        force: replace a zip that this function wrote before; nothing else is replaced.
 
     Raises:
+        DatasetExistsError: when ``path`` is there already, and ``force`` is false or does not apply.
         PolicyNotFoundError: when there is no expert for the variant.
         PolicyError: when the actor does not fit the variant's robot.
         StorageError: when the file cannot be written.
@@ -46,13 +48,9 @@ def export_zip(variant: Variant, path: Path, actor: Actor | None = None) -> Path
     except RuntimeError as error:
         raise PolicyError(f"the actor does not fit SAC's: {error}") from None
     path = path if path.suffix == ".zip" else path.with_suffix(path.suffix + ".zip")
-    partial = path.with_name(f".{path.stem}.partial.zip")
     try:
-        model.save(partial)
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise StorageError(f"cannot write {path}: {error.strerror or error}") from None
+        with new_target(path, force=force) as staged:
+            model.save(staged)
     finally:
         env.close()
     return path

@@ -74,7 +74,8 @@ def combine_datasets(
     Raises:
         DatasetNotFoundError: when an id names no dataset of the Minari root.
         DatasetExistsError: when the new id is taken.
-        DatasetError: when there is nothing to combine, or robots or spaces differ.
+        DatasetError: when there is nothing to combine, robots or spaces differ, or a linked collection
+            would replace a dataset that it links to.
     """
     folder = minari_root.dataset_folder(new_dataset_id)
     if minari_root.taken(new_dataset_id) and not force:
@@ -93,6 +94,9 @@ def combine_datasets(
                 action_space=sources[0].storage.action_space,
             )
             if link:
+                if force:
+                    files = [source.file for source in sources]
+                    copying.check_replaced(new_dataset_id, content.main_file(folder / "data"), files)
                 written = _link(sources, data, folder / "data")
             else:
                 written = _join(sources, data) or _copy(sources, data, threads)
@@ -198,14 +202,15 @@ def _copy(sources: Sequence[Source], data: Path, threads: ThreadPoolExecutor) ->
 def _link(sources: Sequence[Source], data: Path, linked_from: Path) -> _Written:
     """Write links to the episodes, for a file that will lie in ``linked_from``."""
     attributes: list[dict[str, Any]] = []
-    steps = 0
-    with writing(file_format.main_file(data), new=True) as target:
+    steps, digests = 0, list[str]()
+    with writing(content.main_file(data), new=True) as target:
         for source in sources:
             with h5py.File(source.file, "r") as file:
                 attributes += source.attributes(file.attrs)
-                copying.link_episodes(file, source.episodes, target, relpath(source.file, linked_from))
+                place = relpath(source.file, linked_from)
+                digests += copying.link_episodes(file, source.episodes, target, place)
                 steps += _steps(source, file)
-        said = _common(attributes)
+        said = _common(attributes) | {content.LINKED_DIGEST: content.dataset_sha256(digests)}
         target.attrs.update(said)
     return _Written(attributes, steps, said)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import platform
 import time
 from collections.abc import Iterator, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -16,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from imujoco_minari import content, copying, roots
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError
 from imujoco_minari.remotes.connecting import connect
 from imujoco_minari.remotes.stores import Store, explained, metadata, sources_of
@@ -56,17 +58,19 @@ def pull(dataset_id: str, remote: str, *, token: str | None = None, force: bool 
         dataset_id: a dataset that this package published, or a collection of such.
         remote: ``hf://user`` or ``gcp://bucket``.
         token: a Hugging Face token, or the path of a service account's key file; public data needs none.
-        force: replace a dataset of the root that has the id.
+        force: replace a dataset of the root that has the id. A dataset that it is made of is not replaced.
 
     Returns:
         What was downloaded or was there already, the dataset itself last.
 
     Raises:
         DatasetNotFoundError: when the remote lists no such dataset.
-        DatasetError: when what was downloaded is not whole and sound; nothing has changed then.
+        DatasetError: when what was downloaded is not whole and sound, or the root holds other content under
+            the id of a dataset that it is made of; nothing has changed then.
         RemoteError: when the remote cannot be reached or refuses.
     """
-    return list(_pull(connect(remote, token=token), dataset_id, remote, force, set()))
+    replaceable = {dataset_id} if force else set[str]()
+    return list(_pull(connect(remote, token=token), dataset_id, remote, replaceable, set()))
 
 
 def pull_all(
@@ -81,49 +85,88 @@ def pull_all(
     done: set[str] = set()
     for dataset_id in dict.fromkeys(dataset_ids):
         try:
-            yield from _pull(store, dataset_id, remote, force, done)
+            yield from _pull(store, dataset_id, remote, set(dataset_ids) if force else set(), done)
         except ImujocoError as error:
             yield Pulled(dataset_id, remote, error=str(error))
 
 
-def _pull(store: Store, dataset_id: str, remote: str, force: bool, done: set[str]) -> Iterator[Pulled]:
-    """Pull a dataset and what it is made of; ``done`` keeps what was pulled, and cycles from turning."""
+def _pull(
+    store: Store, dataset_id: str, remote: str, replaceable: AbstractSet[str], done: set[str]
+) -> Iterator[Pulled]:
+    """Pull a dataset and what it is made of: all of them are checked before the first is visible.
+
+    Args:
+        store: the remote.
+        dataset_id: the dataset's id.
+        remote: the remote's address.
+        replaceable: ids of datasets that may be replaced.
+        done: ids of datasets that were pulled before; those that are pulled now are added.
+    """
     if dataset_id in done:
         return
-    done.add(dataset_id)
-    if minari_root.taken(dataset_id) and not force:
-        yield Pulled(dataset_id, remote, minari_root.dataset_folder(dataset_id))
+    if roots.taken(dataset_id) and dataset_id not in replaceable:
+        done.add(dataset_id)
+        yield Pulled(dataset_id, remote, roots.dataset_folder(dataset_id))
         return
+    with roots.staging(dataset_id) as folder:
+        outcomes = list(_stage(store, dataset_id, remote, replaceable - done, folder, set()))
+        for outcome in outcomes:
+            if outcome.downloaded:
+                _commit(folder, outcome.dataset_id, outcome.dataset_id in replaceable)
+    outcomes = [outcome for outcome in outcomes if outcome.dataset_id not in done]
+    done.update(outcome.dataset_id for outcome in outcomes)
+    yield from outcomes
+
+
+def _stage(
+    store: Store, dataset_id: str, remote: str, replaceable: AbstractSet[str], folder: Path, seen: set[str]
+) -> Iterator[Pulled]:
+    """Download a dataset and what it is made of into ``folder``, and check each; ``seen`` ends cycles."""
+    start = time.monotonic()
+    seen.add(dataset_id)
+    target, staged = roots.dataset_folder(dataset_id), folder / dataset_id
     with explained(remote):
         stated = metadata(store, dataset_id)
     if stated is None:
         raise DatasetNotFoundError(f"{remote} lists no {dataset_id}; see `minari list remote`")
+    if roots.exists(dataset_id) and dataset_id not in replaceable:
+        digest = content.stated_digest(stated)
+        if digest is None or digest != content.stated_digest(read_metadata(target / "data")):
+            raise DatasetError(
+                f"{dataset_id} is needed from {remote}, but the dataset here has other content: nothing was "
+                f"replaced; to replace it, run `imujoco pull {dataset_id} --force`"
+            )
+        # A linked collection refers to its sources by where they lie beside it.
+        staged.parent.mkdir(parents=True, exist_ok=True)
+        staged.symlink_to(target.resolve())
+        yield Pulled(dataset_id, remote, target)
+        return
     sources = sources_of(stated)
     for source in sources:
-        yield from _pull(store, source, remote, force, done)
-    yield _download(store, dataset_id, remote, force, sources)
-
-
-def _download(store: Store, dataset_id: str, remote: str, force: bool, sources: Sequence[str]) -> Pulled:
-    start = time.monotonic()
-    with minari_root.staging(dataset_id) as folder:
-        with explained(remote):
-            store.download_dataset(dataset_id, folder)
-        staged = folder / dataset_id
-        for source in sources:
-            # A linked collection refers to its sources by where they lie beside it.
-            place = folder / source
-            place.parent.mkdir(parents=True, exist_ok=True)
-            place.symlink_to(minari_root.dataset_folder(source).resolve())
-        stated = read_metadata(staged / "data")
-        # What collections are made of was replayed, or not, when it was pulled.
-        same = bool(sources) or _same_simulator(stated)
-        findings = _findings(staged / "data", stated, dataset_id, same and not sources)
-        if findings:
-            raise DatasetError(f"{dataset_id} from {remote}: not kept, its check found: {findings[0]}")
-        target = minari_root.commit(staged, dataset_id, replace=force)
+        if source not in seen:
+            yield from _stage(store, source, remote, replaceable, folder, seen)
+    roots.check_place(target)
+    with explained(remote):
+        store.download_dataset(dataset_id, folder)
+    stated = read_metadata(staged / "data")
+    # What collections are made of was replayed, or not, when it was pulled.
+    same = bool(sources) or _same_simulator(stated)
+    findings = _findings(staged / "data", stated, dataset_id, same and not sources)
+    if findings:
+        raise DatasetError(f"{dataset_id} from {remote}: not kept, its check found: {findings[0]}")
+    if dataset_id in replaceable:
+        copying.check_replaced(
+            dataset_id, content.main_file(target / "data"), [content.main_file(staged / "data")]
+        )
     digest = str(stated.get("content_sha256", ""))
-    return Pulled(dataset_id, remote, target, True, digest, same, time.monotonic() - start)
+    yield Pulled(dataset_id, remote, target, True, digest, same, time.monotonic() - start)
+
+
+def _commit(folder: Path, dataset_id: str, replace: bool) -> None:
+    """Commit a dataset that lies in ``folder``, from a staging folder that keeps what it replaces."""
+    with roots.staging(dataset_id) as apart:
+        staged = (folder / dataset_id).rename(apart / "dataset")
+        roots.commit(staged, dataset_id, replace=replace)
 
 
 def _same_simulator(stated: dict[str, Any]) -> bool:

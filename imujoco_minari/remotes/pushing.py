@@ -6,6 +6,7 @@ import hashlib
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -60,7 +61,8 @@ def push(dataset_id: str, remote: str, *, token: str | None = None, force: bool 
         dataset_id: a dataset of the Minari root that this package published, or a collection of such.
         remote: ``hf://user`` or ``gcp://bucket``.
         token: a Hugging Face token, or the path of a service account's key file.
-        force: replace a different dataset that has the id on the remote.
+        force: replace a different dataset that has the id on the remote. A dataset that it is made of is
+            not replaced.
 
     Returns:
         What was uploaded or was there already, the dataset itself last.
@@ -72,7 +74,9 @@ def push(dataset_id: str, remote: str, *, token: str | None = None, force: bool 
         RemoteError: when the remote cannot be reached or refuses.
     """
     store = connect(remote, token=token, writing=True)
-    outcomes = [_push(store, part, remote, force) for part in _with_sources(dataset_id)]
+    outcomes = [
+        _push(store, part, remote, force and part == dataset_id) for part in _with_sources(dataset_id)
+    ]
     if any(outcome.uploaded for outcome in outcomes):
         _describe(store, remote, [dataset_id])
     return outcomes
@@ -93,7 +97,7 @@ def push_all(
         try:
             for part in _with_sources(dataset_id):
                 if part not in done:
-                    outcome = _push(store, part, remote, force)
+                    outcome = _push(store, part, remote, force and part in dataset_ids)
                     done.add(part)
                     uploaded += [part] if outcome.uploaded else []
                     yield outcome
@@ -103,15 +107,19 @@ def push_all(
         _describe(store, remote, uploaded)
 
 
-def _with_sources(dataset_id: str) -> list[str]:
-    """Return the datasets that one is made of, which Minari downloads with it, and then itself."""
-    file = minari_root.dataset_folder(dataset_id) / METADATA_FILE
+def _with_sources(dataset_id: str, around: AbstractSet[str] = frozenset()) -> list[str]:
+    """Return the datasets that one is made of, which Minari downloads with it, and then itself.
+
+    Those in ``around`` are left out: they are made of this one, and it may be made of them.
+    """
+    file = roots.dataset_folder(dataset_id) / METADATA_FILE
     try:
         sources = sources_of(parse_object(file.read_bytes(), str(file)))
     except (OSError, RemoteError):
         # The check that follows says what is wrong with it.
         sources = []
-    parts = [part for source in sources if source != dataset_id for part in _with_sources(source)]
+    around = {*around, dataset_id}
+    parts = [part for source in sources if source not in around for part in _with_sources(source, around)]
     return list(dict.fromkeys([*parts, dataset_id]))
 
 
@@ -131,7 +139,7 @@ def _push(store: Store, dataset_id: str, remote: str, force: bool) -> Pushed:
         if theirs is not None and theirs != ours and not force:
             raise DatasetExistsError(
                 f"{remote} has another {dataset_id}, made on {_made_with(theirs)}; it was left alone "
-                "(--force replaces it)"
+                f"(`imujoco push {dataset_id} --force` replaces it)"
             )
         for namespace in namespaces(dataset_id):
             if store.read(namespace_file(namespace)) is None:

@@ -6,15 +6,18 @@ comes on top goes through h5py's low level, whose high level would double it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
-from h5py import h5a, h5g, h5o
+from h5py import h5a, h5g, h5l, h5o
 
-from imujoco_minari.storage import file_format
-from imujoco_minari.storage.writer import read_text, write_attribute
+from imujoco_minari import content
+from imujoco_minari.errors import DatasetError
+from imujoco_minari.recording import read_text, write_attribute
 
 _DIGEST = file_format.DIGEST.encode()
 
@@ -56,18 +59,55 @@ def copy_episodes(source: h5py.File, episodes: Sequence[int], target: h5py.File,
     return Copied(steps, digests)
 
 
-def link_episodes(source: h5py.File, episodes: Sequence[int], target: h5py.File, path: str) -> None:
+def link_episodes(source: h5py.File, episodes: Sequence[int], target: h5py.File, path: str) -> list[str]:
     """Link ``target`` to episodes of the file that is at ``path``, as seen from where ``target`` will lie.
+
+    Returns:
+        The digest of each episode; empty for an episode that has none.
 
     Raises:
         KeyError: when an episode is missing.
     """
-    where, links = path.encode(), target.id.links
+    where, links, digests = path.encode(), target.id.links, []
     for place, number in enumerate(episodes, start=len(target)):
         name = b"episode_%d" % number
-        if not source.id.links.exists(name):
-            raise KeyError(f"{name.decode()} is missing")
+        group = h5g.open(source.id, name)
+        digests.append(read_text(group, content.DIGEST) if h5a.exists(group, _DIGEST) else "")
         links.create_external(b"episode_%d" % place, where, name)
+    return digests
+
+
+def check_replaced(dataset_id: str, replaced: Path, files: Iterable[Path]) -> None:
+    """Check that a dataset does not replace a file that it links to, directly or through other links.
+
+    Args:
+        dataset_id: the dataset's id.
+        replaced: the HDF5 file that the dataset replaces.
+        files: the HDF5 files that the dataset links to.
+
+    Raises:
+        DatasetError: when one of the files is the replaced file, or links to it.
+    """
+    lost, seen, waiting = os.path.realpath(replaced), set[str](), list(files)
+    while waiting:
+        path = waiting.pop()
+        place = os.path.realpath(path)
+        if place == lost:
+            raise DatasetError(
+                f"{dataset_id} was not replaced: the new dataset links to it, so its episodes would be lost; "
+                "give the new dataset another id, or copy the episodes (no --link)"
+            )
+        if place not in seen and path.is_file():
+            seen.add(place)
+            waiting += _linked_files(path)
+
+
+def _linked_files(path: Path) -> list[Path]:
+    """Return the files that the episodes of an HDF5 file lie in, where they are links."""
+    with h5py.File(path, "r") as file:
+        links = file.id.links
+        names = {links.get_val(name)[0] for name in file.id if links.get_info(name).type == h5l.TYPE_EXTERNAL}
+    return [path.parent / os.fsdecode(name) for name in names]
 
 
 def episode_attributes(file: h5py.File, episodes: Sequence[int], keys: Sequence[str]) -> list[dict[str, Any]]:

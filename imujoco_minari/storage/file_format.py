@@ -22,6 +22,8 @@ MAIN_FILE = "main_data.hdf5"
 ARRAYS = ("observations", "actions", "rewards", "terminations", "truncations")
 DIGEST = "sha256"
 FILE_DIGEST, METADATA_DIGEST = "file_sha256", "metadata_sha256"
+# A linked collection has no content of its own: this is the digest of the episodes that it links to.
+LINKED_DIGEST = "linked_sha256"
 # False on imported episodes: they have no seed that would replay them.
 REPLAYABLE = "replayable"
 
@@ -69,6 +71,11 @@ def seal_episode(group: h5py.Group) -> None:
     for name, digest in digests.items():
         group[name].attrs[DIGEST] = digest
     group.attrs[DIGEST] = episode_sha256(digests)
+
+
+def stated_digest(metadata: Mapping[str, Any]) -> Any:
+    """Return the digest that metadata states of a dataset's episodes, its own or linked; None without one."""
+    return metadata.get("content_sha256") or metadata.get(LINKED_DIGEST)
 
 
 def content_sha256(file: h5py.File, episodes: int) -> str:

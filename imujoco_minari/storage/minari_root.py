@@ -120,7 +120,7 @@ def staging(*dataset_ids: str) -> Iterator[Path]:
     with failures_named(root.parent):
         root.mkdir(parents=True, exist_ok=True)
         for dataset_id in dataset_ids:
-            _check_place(dataset_folder(dataset_id))
+            check_place(dataset_folder(dataset_id))
         try:
             with scratch(root) as folder:
                 yield folder
@@ -145,7 +145,7 @@ def scratch(parent: Path, prefix: str = "") -> Iterator[Path]:
         _discard(folder, lock)
 
 
-def _check_place(target: Path) -> None:
+def check_place(target: Path) -> None:
     """Raise unless ``target`` can come into being by a rename out of the staging folder."""
     root = datasets_root()
     for parent in target.parents:
@@ -246,7 +246,7 @@ def commit(staged: Path, dataset_id: str, *, replace: bool = False) -> Path:
     """Make the staged dataset visible under its id in one step, and return its folder.
 
     Args:
-        staged: the dataset's folder (that holds ``data``), within :func:`staging`.
+        staged: the dataset's folder (that holds ``data``), directly within :func:`staging`'s.
         dataset_id: the id it gets.
         replace: put it in the place of the dataset that has the id now, which goes when it is in.
 
@@ -256,7 +256,7 @@ def commit(staged: Path, dataset_id: str, *, replace: bool = False) -> Path:
     """
     target = dataset_folder(dataset_id)
     with failures_named(target):
-        _check_place(target)
+        check_place(target)
         _sync(staged)
         make_namespace(dataset_id.rpartition("/")[0])
         try:

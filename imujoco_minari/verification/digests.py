@@ -56,14 +56,11 @@ def whole(
         episodes: the digests of its episodes, in their order.
         root: the attributes of its file.
         metadata: what its ``metadata.json`` says.
-        linked: it is a linked collection, which keeps no digest of what lies elsewhere.
+        linked: it is a linked collection.
     """
-    if linked and "content_sha256" not in {**root, **metadata}:
-        return
-    digest = file_format.dataset_sha256(episodes)
-    for where, stated in (
-        ("@content_sha256", root.get("content_sha256")),
-        ("metadata.json/content_sha256", metadata.get("content_sha256")),
-    ):
+    key = content.LINKED_DIGEST if linked else "content_sha256"
+    cause = ": a dataset that it links to was replaced" if linked else ""
+    digest = content.dataset_sha256(episodes)
+    for where, stated in ((f"@{key}", root.get(key)), (f"metadata.json/{key}", metadata.get(key))):
         if not isinstance(stated, str) or stated != digest:
-            yield Finding(where, f"is {shown(stated)}, but the content's is {digest}")
+            yield Finding(where, f"is {shown(stated)}, but the content's is {digest}{cause}")

@@ -235,9 +235,10 @@ def test_what_is_there_is_left_alone_unless_forced(data: Arrays, tmp_path: Path,
     assert list(tmp_path.iterdir()) == [target]
 
 
-def test_a_failure_leaves_what_was_there(tmp_path: Path) -> None:
+def test_a_failure_leaves_what_was_there(data: Arrays, tmp_path: Path) -> None:
     target = tmp_path / "x"
-    target.write_text("before")
+    export(data, "npz", target)
+    before = target.read_bytes()
 
     def interrupted() -> None:
         with new_target(target, force=True) as staged:
@@ -246,7 +247,7 @@ def test_a_failure_leaves_what_was_there(tmp_path: Path) -> None:
 
     with pytest.raises(KeyboardInterrupt):
         interrupted()
-    assert target.read_text() == "before"
+    assert target.read_bytes() == before
     assert list(tmp_path.iterdir()) == [target]
 
 
@@ -301,3 +302,48 @@ def test_the_command_writes_preferences(
         assert saved["first_observations"].shape == (30, 5, 11)
     assert run(["preferences", *small_datasets, "-o", str(target), "-l", "5"]) == 1
     assert "is already there" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("format", sorted(FORMATS))
+@pytest.mark.parametrize("kind", ["folder", "file", "hdf5", "zip"])
+def test_force_replaces_no_file_or_folder_of_others(
+    data: Arrays, tmp_path: Path, format: str, kind: str
+) -> None:
+    target = tmp_path / "x"
+    if kind == "folder":
+        (target / "thesis").mkdir(parents=True)
+    elif kind == "hdf5":
+        with h5py.File(target, "w") as file:
+            file["obs"] = [1.0]
+    elif kind == "zip":
+        with target.open("wb") as stream:
+            np.savez(stream, data=np.zeros(3))
+    else:
+        target.write_text("thesis")
+    before = sorted(target.rglob("*")) or target.read_bytes()
+    with pytest.raises(DatasetExistsError, match=r"x is not replaced: it is not an export of imujoco"):
+        export(data, format, target, force=True)
+    assert (sorted(target.rglob("*")) or target.read_bytes()) == before
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_force_replaces_no_export_to_which_a_file_was_added(data: Arrays, tmp_path: Path) -> None:
+    export(data, "rlds", tmp_path / "x")
+    (tmp_path / "x" / "notes.txt").write_text("thesis")
+    with pytest.raises(DatasetExistsError, match="or holds other files too"):
+        export(data, "rlds", tmp_path / "x", force=True)
+    (tmp_path / "x" / "notes.txt").unlink()
+    export(data, "rlds", tmp_path / "x", force=True)
+
+
+@pytest.mark.parametrize("format", sorted(FORMATS))
+@pytest.mark.parametrize("before", ["npz", "rlds"])
+def test_force_replaces_an_export_by_one_of_any_format(
+    data: Arrays, tmp_path: Path, format: str, before: str
+) -> None:
+    if format == "lerobot":
+        pytest.importorskip("pyarrow")
+    export(data, before, tmp_path / "x")
+    for _ in range(2):
+        export(data, format, tmp_path / "x", force=True)
+    assert list(tmp_path.iterdir()) == [tmp_path / "x"]

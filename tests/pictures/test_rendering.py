@@ -529,7 +529,13 @@ def test_the_command_renders_a_recorded_episode(
     assert told["path"] == str(target)
     assert told["motions"][0]["moved_by"] == "random, episode 1"
     assert told["motions"][0]["divergence"] == 0.0
-    assert target.exists()
+    before = target.read_bytes()
+    command = ["render", published.dataset_id, "--sheet", "--size", "96x80", "-o", str(target)]
+    assert run(command) == 1
+    assert f"{target} is already there; it was left alone" in capsys.readouterr().err
+    assert target.read_bytes() == before
+    assert run([*command, "--force"]) == 0
+    assert target.read_bytes() != before
 
 
 @pytest.mark.parametrize(

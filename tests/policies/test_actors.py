@@ -12,8 +12,7 @@ import pytest
 from random_actors import random_actor
 from safetensors.numpy import save_file
 
-from imujoco_minari.envs.registration import make
-from imujoco_minari.errors import PolicyError, PolicyNotFoundError
+from imujoco_minari.errors import DatasetExistsError, PolicyError, PolicyNotFoundError
 from imujoco_minari.policies import Actor, RandomPolicy, expert_actor, load_policy, read_actor
 from imujoco_minari.policies.sb3 import export_zip
 from imujoco_minari.variants import Variant
@@ -47,6 +46,19 @@ def test_an_exported_zip_predicts_as_the_actor_acts_and_reads_back(
     assert read.sha256 == actor.sha256
     assert read.activation == activation
     assert read.algorithm == "SAC"
+
+
+def test_an_exported_zip_replaces_no_zip_of_others(tmp_path: Path) -> None:
+    path = export_zip(HOPPER, tmp_path / "mine.zip", random_actor())
+    with pytest.raises(DatasetExistsError, match=r"mine.zip is already there; it was left alone"):
+        export_zip(HOPPER, path, random_actor())
+    export_zip(HOPPER, path, random_actor(), force=True)
+    with zipfile.ZipFile(path, "a") as trained:
+        trained.comment = b""
+    before = path.read_bytes()
+    with pytest.raises(DatasetExistsError, match=r"mine.zip is not replaced: it is not an export of imujoco"):
+        export_zip(HOPPER, path, random_actor(), force=True)
+    assert path.read_bytes() == before
 
 
 def test_a_batch_acts_as_its_rows_do(observations: Any) -> None:

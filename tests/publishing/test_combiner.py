@@ -9,6 +9,9 @@ import minari
 import numpy as np
 import pytest
 
+from imujoco_minari import combining, content, roots
+from imujoco_minari.cli.app import run
+from imujoco_minari.combining import collection_id, combine_datasets, published_ids
 from imujoco_minari.errors import DatasetError, DatasetExistsError, DatasetNotFoundError
 from imujoco_minari.publishing import combiner
 from imujoco_minari.publishing.combiner import collection_id, combine_datasets, published_ids
@@ -211,3 +214,37 @@ def test_a_file_that_has_changed_is_first_read_by_another_process(sources, monke
     assert "imujoco/changed-v0" not in minari.list_local_datasets()
     # Whatever has changed, a file that can be read is combined as it is.
     assert combine_datasets(sources, "imujoco/changed-v0").total_episodes == 3 * EPISODES
+
+
+def test_a_linked_collection_does_not_replace_what_it_links_to(sources, capsys):
+    before = stored(minari.load_dataset(IDS[0]))
+    first, second = "imujoco/hopper-first-v0", "imujoco/hopper-second-v0"
+    combine_datasets(sources[:2], first, link=True)
+    combine_datasets([first], second, link=True)
+    for names in (sources[:2], [first], [IDS[2], second]):
+        assert run(["combine", *names, "--id", IDS[0], "--link", "--force"]) == 1
+        assert f"error: {IDS[0]} was not replaced: the new dataset links to it" in capsys.readouterr().err
+        assert stored(minari.load_dataset(IDS[0])) == before
+    assert verify(IDS[0]) == verify(second) == []
+
+
+def test_a_copy_may_replace_one_of_its_sources(sources):
+    before = stored(minari.load_dataset(IDS[0]))
+    combined = combine_datasets(sources[:2], IDS[0], force=True)
+    assert without_id(stored(combined))[:EPISODES] == [
+        (dict(attributes, source=IDS[0]), arrays) for attributes, arrays in without_id(before)
+    ]
+    assert combined.total_episodes == 2 * EPISODES
+    assert verify(IDS[0]) == []
+
+
+def test_verify_finds_a_linked_source_that_was_replaced(monkeypatch):
+    monkeypatch.setattr("imujoco_minari.publishing.reference_scores", lambda variant: {})
+    # All of its episodes have 1000 steps, so that the totals stay.
+    publish("halfcheetah-base", tier="random", episodes=1)
+    combine_datasets(["imujoco/halfcheetah-base-random-v0"], NEW, link=True)
+    combine_datasets([NEW], "imujoco/further-v0", link=True)
+    assert verify(NEW, replay=False) == verify("imujoco/further-v0", replay=False) == []
+    publish("halfcheetah-base", tier="random", episodes=1, seed=1, force=True)
+    for name in (NEW, "imujoco/further-v0"):
+        assert "a dataset that it links to was replaced" in str(verify(name)[0])

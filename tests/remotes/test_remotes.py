@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import sys
 from collections.abc import Callable, Iterator
@@ -12,7 +13,7 @@ from typing import Any
 import h5py
 import pytest
 
-from imujoco_minari import remotes
+from imujoco_minari import remotes, roots, verification
 from imujoco_minari.cli.app import run
 from imujoco_minari.errors import (
     DatasetError,
@@ -381,3 +382,100 @@ def test_the_card_of_a_namespace_lists_its_datasets(store: FolderStore) -> None:
     assert [line.split("`")[1] for line in text.splitlines() if line.startswith("| `")] == sorted(
         [HOPPER, BASE, LINKED]
     )
+
+
+def other_content(seed: int = 7) -> None:
+    publish("hopper-base", tier="random", episodes=3, seed=seed, force=True)
+
+
+def test_pull_force_replaces_only_what_is_named(store: FolderStore, root: Path) -> None:
+    remotes.push(LINKED, REMOTE)
+    other_content()
+    before = files(root, BASE), files(root, LINKED)
+    assert run(["pull", LINKED, "--remote", REMOTE, "--force"]) == 1
+    assert (files(root, BASE), files(root, LINKED)) == before
+    with pytest.raises(
+        DatasetError, match=rf"^{BASE} is needed from {REMOTE}, but the dataset here has other"
+    ):
+        remotes.pull(LINKED, REMOTE, force=True)
+    assert run(["pull", LINKED, BASE, "--remote", REMOTE, "--force"]) == 0
+    assert files(root, BASE) == files(store.folder, BASE)
+    assert not verification.verify(LINKED)
+
+
+def test_a_source_that_is_here_with_the_same_content_is_used(store: FolderStore, root: Path) -> None:
+    remotes.push(LINKED, REMOTE)
+    inode = (root / BASE).stat().st_ino
+    outcomes = remotes.pull(LINKED, REMOTE, force=True)
+    assert [(outcome.dataset_id, outcome.downloaded) for outcome in outcomes] == [
+        (HOPPER, False),
+        (BASE, False),
+        (LINKED, True),
+    ]
+    assert (root / BASE).stat().st_ino == inode
+
+
+def test_pull_force_replaces_nothing_before_all_checks_have_passed(store: FolderStore, root: Path) -> None:
+    remotes.push(LINKED, REMOTE)
+    edit_metadata(store.folder / LINKED / stores.METADATA_FILE, tier="expert")
+    other_content()
+    before = files(root, BASE), files(root, LINKED)
+    (outcome,) = pulling.pull_all([LINKED], REMOTE, force=True)
+    assert outcome.error
+    # BASE is named here: it is replaced on its own account, after the collection has failed.
+    failed, pulled = pulling.pull_all([LINKED, BASE], REMOTE, force=True)
+    assert failed.dataset_id == LINKED
+    assert "its check found" in failed.error
+    assert (pulled.dataset_id, pulled.downloaded) == (BASE, True)
+    assert (files(root, BASE), files(root, LINKED)) == (files(store.folder, BASE), before[1])
+
+
+def test_a_collection_that_names_itself_is_pulled(store: FolderStore, elsewhere: Callable[[], Path]) -> None:
+    combine_datasets([HOPPER, BASE], HOPPER, force=True)
+    assert [outcome.dataset_id for outcome in remotes.push(HOPPER, REMOTE)] == [BASE, HOPPER]
+    elsewhere()
+    assert [outcome.dataset_id for outcome in remotes.pull(HOPPER, REMOTE)] == [BASE, HOPPER]
+
+
+def test_datasets_that_are_made_of_each_other_are_pushed(store: FolderStore) -> None:
+    combine_datasets([LINKED], HOPPER, force=True)
+    assert [outcome.dataset_id for outcome in remotes.push(HOPPER, REMOTE)] == [BASE, LINKED, HOPPER]
+
+
+def test_push_force_replaces_only_what_is_named(store: FolderStore) -> None:
+    remotes.push(LINKED, REMOTE)
+    before = files(store.folder, BASE)
+    other_content()
+    combine_datasets([HOPPER, BASE], LINKED, link=True, force=True)
+    with pytest.raises(
+        DatasetExistsError, match=rf"another {BASE}.*`imujoco push {BASE} --force` replaces it"
+    ):
+        remotes.push(LINKED, REMOTE, force=True)
+    assert files(store.folder, BASE) == before
+    assert all(not outcome.error for outcome in remotes.push_all([BASE, LINKED], REMOTE, force=True))
+    assert store.holds(BASE)
+
+
+def test_a_killed_pull_force_loses_nothing_where_folders_cannot_be_swapped(
+    store: FolderStore, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    remotes.push(BASE, REMOTE)
+    other_content()
+    # Dies between the two renames; a process that is killed tidies nothing.
+    monkeypatch.setattr(roots, "exchange", lambda source, target: False)
+    rename = Path.rename
+
+    def killed(path: Path, target: Path) -> Path:
+        if Path(target) == root / BASE and not Path(target).exists():
+            raise KeyboardInterrupt
+        return rename(path, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "rename", killed)
+        patch.setattr(roots, "_discard", lambda folder, lock: os.close(lock))
+        with pytest.raises(KeyboardInterrupt):
+            remotes.pull(BASE, REMOTE, force=True)
+    assert not roots.exists(BASE)
+    roots.tidy()
+    assert roots.exists(BASE)
+    assert verification.verify(BASE) == []
