@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from imujoco_minari.envs.registration import make
 from imujoco_minari.errors import PolicyError
-from imujoco_minari.exporting.targets import new_target
 from imujoco_minari.policies import Actor, expert_actor
+from imujoco_minari.storage.targets import new_target
 from imujoco_minari.variants import Variant
 
 

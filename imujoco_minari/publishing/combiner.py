@@ -96,7 +96,7 @@ def combine_datasets(
             if link:
                 if force:
                     files = [source.file for source in sources]
-                    copying.check_replaced(new_dataset_id, content.main_file(folder / "data"), files)
+                    copying.check_replaced(new_dataset_id, file_format.main_file(folder / "data"), files)
                 written = _link(sources, data, folder / "data")
             else:
                 written = _join(sources, data) or _copy(sources, data, threads)
@@ -203,14 +203,14 @@ def _link(sources: Sequence[Source], data: Path, linked_from: Path) -> _Written:
     """Write links to the episodes, for a file that will lie in ``linked_from``."""
     attributes: list[dict[str, Any]] = []
     steps, digests = 0, list[str]()
-    with writing(content.main_file(data), new=True) as target:
+    with writing(file_format.main_file(data), new=True) as target:
         for source in sources:
             with h5py.File(source.file, "r") as file:
                 attributes += source.attributes(file.attrs)
                 place = relpath(source.file, linked_from)
                 digests += copying.link_episodes(file, source.episodes, target, place)
                 steps += _steps(source, file)
-        said = _common(attributes) | {content.LINKED_DIGEST: content.dataset_sha256(digests)}
+        said = _common(attributes) | {file_format.LINKED_DIGEST: file_format.dataset_sha256(digests)}
         target.attrs.update(said)
     return _Written(attributes, steps, said)
 

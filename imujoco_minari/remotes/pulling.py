@@ -17,11 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from imujoco_minari import content, copying, roots
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError
 from imujoco_minari.remotes.connecting import connect
 from imujoco_minari.remotes.stores import Store, explained, metadata, sources_of
-from imujoco_minari.storage import minari_root
+from imujoco_minari.storage import copying, file_format, minari_root
 from imujoco_minari.verification import Finding, child_process, inspect
 from imujoco_minari.verification.identity import read_metadata
 
@@ -104,11 +103,11 @@ def _pull(
     """
     if dataset_id in done:
         return
-    if roots.taken(dataset_id) and dataset_id not in replaceable:
+    if minari_root.taken(dataset_id) and dataset_id not in replaceable:
         done.add(dataset_id)
-        yield Pulled(dataset_id, remote, roots.dataset_folder(dataset_id))
+        yield Pulled(dataset_id, remote, minari_root.dataset_folder(dataset_id))
         return
-    with roots.staging(dataset_id) as folder:
+    with minari_root.staging(dataset_id) as folder:
         outcomes = list(_stage(store, dataset_id, remote, replaceable - done, folder, set()))
         for outcome in outcomes:
             if outcome.downloaded:
@@ -124,14 +123,14 @@ def _stage(
     """Download a dataset and what it is made of into ``folder``, and check each; ``seen`` ends cycles."""
     start = time.monotonic()
     seen.add(dataset_id)
-    target, staged = roots.dataset_folder(dataset_id), folder / dataset_id
+    target, staged = minari_root.dataset_folder(dataset_id), folder / dataset_id
     with explained(remote):
         stated = metadata(store, dataset_id)
     if stated is None:
         raise DatasetNotFoundError(f"{remote} lists no {dataset_id}; see `minari list remote`")
-    if roots.exists(dataset_id) and dataset_id not in replaceable:
-        digest = content.stated_digest(stated)
-        if digest is None or digest != content.stated_digest(read_metadata(target / "data")):
+    if minari_root.exists(dataset_id) and dataset_id not in replaceable:
+        digest = file_format.stated_digest(stated)
+        if digest is None or digest != file_format.stated_digest(read_metadata(target / "data")):
             raise DatasetError(
                 f"{dataset_id} is needed from {remote}, but the dataset here has other content: nothing was "
                 f"replaced; to replace it, run `imujoco pull {dataset_id} --force`"
@@ -145,7 +144,7 @@ def _stage(
     for source in sources:
         if source not in seen:
             yield from _stage(store, source, remote, replaceable, folder, seen)
-    roots.check_place(target)
+    minari_root.check_place(target)
     with explained(remote):
         store.download_dataset(dataset_id, folder)
     stated = read_metadata(staged / "data")
@@ -156,7 +155,7 @@ def _stage(
         raise DatasetError(f"{dataset_id} from {remote}: not kept, its check found: {findings[0]}")
     if dataset_id in replaceable:
         copying.check_replaced(
-            dataset_id, content.main_file(target / "data"), [content.main_file(staged / "data")]
+            dataset_id, file_format.main_file(target / "data"), [file_format.main_file(staged / "data")]
         )
     digest = str(stated.get("content_sha256", ""))
     yield Pulled(dataset_id, remote, target, True, digest, same, time.monotonic() - start)
@@ -164,9 +163,9 @@ def _stage(
 
 def _commit(folder: Path, dataset_id: str, replace: bool) -> None:
     """Commit a dataset that lies in ``folder``, from a staging folder that keeps what it replaces."""
-    with roots.staging(dataset_id) as apart:
+    with minari_root.staging(dataset_id) as apart:
         staged = (folder / dataset_id).rename(apart / "dataset")
-        roots.commit(staged, dataset_id, replace=replace)
+        minari_root.commit(staged, dataset_id, replace=replace)
 
 
 def _same_simulator(stated: dict[str, Any]) -> bool:

@@ -112,7 +112,7 @@ def _with_sources(dataset_id: str, around: AbstractSet[str] = frozenset()) -> li
 
     Those in ``around`` are left out: they are made of this one, and it may be made of them.
     """
-    file = roots.dataset_folder(dataset_id) / METADATA_FILE
+    file = minari_root.dataset_folder(dataset_id) / METADATA_FILE
     try:
         sources = sources_of(parse_object(file.read_bytes(), str(file)))
     except (OSError, RemoteError):

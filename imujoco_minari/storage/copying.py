@@ -15,9 +15,9 @@ import h5py
 import numpy as np
 from h5py import h5a, h5g, h5l, h5o
 
-from imujoco_minari import content
 from imujoco_minari.errors import DatasetError
-from imujoco_minari.recording import read_text, write_attribute
+from imujoco_minari.storage import file_format
+from imujoco_minari.storage.writer import read_text, write_attribute
 
 _DIGEST = file_format.DIGEST.encode()
 
@@ -72,7 +72,7 @@ def link_episodes(source: h5py.File, episodes: Sequence[int], target: h5py.File,
     for place, number in enumerate(episodes, start=len(target)):
         name = b"episode_%d" % number
         group = h5g.open(source.id, name)
-        digests.append(read_text(group, content.DIGEST) if h5a.exists(group, _DIGEST) else "")
+        digests.append(read_text(group, file_format.DIGEST) if h5a.exists(group, _DIGEST) else "")
         links.create_external(b"episode_%d" % place, where, name)
     return digests
 

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import h5py
 
-from imujoco_minari import roots
 from imujoco_minari.errors import DatasetExistsError, StorageError
-from imujoco_minari.writing import writing
+from imujoco_minari.storage import minari_root
+from imujoco_minari.storage.quiet_file import writing
 
 _PREFIX = ".imujoco-export-"
 # A folder's mark is a file that lists all others, an HDF5 file's an attribute, a zip's its comment.

@@ -58,9 +58,9 @@ def whole(
         metadata: what its ``metadata.json`` says.
         linked: it is a linked collection.
     """
-    key = content.LINKED_DIGEST if linked else "content_sha256"
+    key = file_format.LINKED_DIGEST if linked else "content_sha256"
     cause = ": a dataset that it links to was replaced" if linked else ""
-    digest = content.dataset_sha256(episodes)
+    digest = file_format.dataset_sha256(episodes)
     for where, stated in ((f"@{key}", root.get(key)), (f"metadata.json/{key}", metadata.get(key))):
         if not isinstance(stated, str) or stated != digest:
             yield Finding(where, f"is {shown(stated)}, but the content's is {digest}{cause}")

@@ -12,6 +12,7 @@ import pytest
 from random_actors import random_actor
 from safetensors.numpy import save_file
 
+from imujoco_minari.envs.registration import make
 from imujoco_minari.errors import DatasetExistsError, PolicyError, PolicyNotFoundError
 from imujoco_minari.policies import Actor, RandomPolicy, expert_actor, load_policy, read_actor
 from imujoco_minari.policies.sb3 import export_zip

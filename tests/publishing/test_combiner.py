@@ -9,9 +9,7 @@ import minari
 import numpy as np
 import pytest
 
-from imujoco_minari import combining, content, roots
 from imujoco_minari.cli.app import run
-from imujoco_minari.combining import collection_id, combine_datasets, published_ids
 from imujoco_minari.errors import DatasetError, DatasetExistsError, DatasetNotFoundError
 from imujoco_minari.publishing import combiner
 from imujoco_minari.publishing.combiner import collection_id, combine_datasets, published_ids
@@ -239,7 +237,7 @@ def test_a_copy_may_replace_one_of_its_sources(sources):
 
 
 def test_verify_finds_a_linked_source_that_was_replaced(monkeypatch):
-    monkeypatch.setattr("imujoco_minari.publishing.reference_scores", lambda variant: {})
+    monkeypatch.setattr("imujoco_minari.publishing.publisher.reference_scores", lambda variant: {})
     # All of its episodes have 1000 steps, so that the totals stay.
     publish("halfcheetah-base", tier="random", episodes=1)
     combine_datasets(["imujoco/halfcheetah-base-random-v0"], NEW, link=True)

@@ -16,10 +16,9 @@ import pyfive
 import pytest
 
 from imujoco_minari.errors import DatasetError
-from imujoco_minari.publishing import combiner
 from imujoco_minari.publishing.combiner import combine_datasets
 from imujoco_minari.publishing.joining import Joiner, NotPlainError
-from imujoco_minari.publishing.publisher import publish
+from imujoco_minari.publishing.publisher import combiner, publish
 from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.storage.quiet_file import writing
 from imujoco_minari.storage.writer import write_episode

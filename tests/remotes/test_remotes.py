@@ -13,7 +13,7 @@ from typing import Any
 import h5py
 import pytest
 
-from imujoco_minari import remotes, roots, verification
+from imujoco_minari import remotes, verification
 from imujoco_minari.cli.app import run
 from imujoco_minari.errors import (
     DatasetError,
@@ -462,7 +462,7 @@ def test_a_killed_pull_force_loses_nothing_where_folders_cannot_be_swapped(
     remotes.push(BASE, REMOTE)
     other_content()
     # Dies between the two renames; a process that is killed tidies nothing.
-    monkeypatch.setattr(roots, "exchange", lambda source, target: False)
+    monkeypatch.setattr(minari_root, "exchange", lambda source, target: False)
     rename = Path.rename
 
     def killed(path: Path, target: Path) -> Path:
@@ -472,10 +472,10 @@ def test_a_killed_pull_force_loses_nothing_where_folders_cannot_be_swapped(
 
     with monkeypatch.context() as patch:
         patch.setattr(Path, "rename", killed)
-        patch.setattr(roots, "_discard", lambda folder, lock: os.close(lock))
+        patch.setattr(minari_root, "_discard", lambda folder, lock: os.close(lock))
         with pytest.raises(KeyboardInterrupt):
             remotes.pull(BASE, REMOTE, force=True)
-    assert not roots.exists(BASE)
-    roots.tidy()
-    assert roots.exists(BASE)
+    assert not minari_root.exists(BASE)
+    minari_root.tidy()
+    assert minari_root.exists(BASE)
     assert verification.verify(BASE) == []
