@@ -236,6 +236,6 @@ def _episodes(dataset_id: str) -> int:
 def _stated(dataset_id: str) -> dict[str, Any]:
     """Return what a dataset's metadata state; empty where they cannot be read."""
     from imujoco_minari.storage import minari_root
-    from imujoco_minari.verification.identity import read_metadata
+    from imujoco_minari.storage.metadata import read_metadata
 
     return read_metadata(minari_root.dataset_folder(dataset_id) / "data")

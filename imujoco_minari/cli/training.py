@@ -106,14 +106,16 @@ def train_variants(
 def _record(chosen: list[Variant], plan: Plan, as_json: bool) -> None:
     from dataclasses import replace
 
-    from imujoco_minari.publishing.training_data import record_replay
+    from imujoco_minari.publishing.training_data import record_training
     from imujoco_minari.training.sweep import task
 
     outcomes = []
     for variant in chosen:
         # All of the run is wanted, not the shortest way to a target.
         whole = replace(task(variant, plan), target=float("inf"))
-        outcomes.append(record_replay(whole, plan.state / f"{variant}-replay", on_interval=_teller(as_json)))
+        outcomes.append(
+            record_training(whole, plan.state / f"{variant}-replay", on_interval=_teller(as_json))
+        )
         if not as_json:
             report(outcomes[-1], quiet=False)
     if as_json:

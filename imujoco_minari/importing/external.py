@@ -6,13 +6,10 @@ and links to other files are not followed.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -25,12 +22,12 @@ from imujoco_minari.importing.physics import Fidelity, Physics
 from imujoco_minari.importing.safe_unpack import MAX_ENTRY_BYTES, Array, one_of, read_npz
 from imujoco_minari.importing.transitions import Transitions, checked, cut, episodes, fidelity
 from imujoco_minari.policies.references import reference_scores
-from imujoco_minari.publishing.publisher import External, Published, publish_episodes
+from imujoco_minari.publishing.publisher import NewDataset, Published, publish_episodes
 from imujoco_minari.storage import file_format, minari_root
+from imujoco_minari.storage.metadata import provenance, read_metadata
 from imujoco_minari.variants import Variant
 from imujoco_minari.verification.child_process import survives_walk
 
-_MAX_METADATA_BYTES = 2**24
 # The names by which flat files go, D4RL's first.
 _NAMES = {
     "observations": ("observations", "observation", "obs", "states"),
@@ -93,27 +90,27 @@ def import_dataset(
         found = cut(read.transitions, physics)
         near = fidelity(read.transitions, found, physics)
         metadata = {
-            "algorithm_name": read.algorithm or "unknown",
-            "author": set(read.authors) or {"unknown"},
-            "code_permalink": f"imujoco-minari=={version('imujoco-minari')}",
-            "description": " ".join(
-                (
-                    f"Imported {read.kind}, {Path(source).name[:100]}, as the tier {tier} of {variant}: "
-                    f"{len(found.bounds)} episodes, {len(read.transitions)} steps. "
-                    "No seeds are known that would replay them in this variant's environment.",
-                    *found.notes,
-                )
+            **provenance(
+                authors=read.authors or ("unknown",),
+                algorithm=read.algorithm or "unknown",
+                description=" ".join(
+                    (
+                        f"Imported {read.kind}, {Path(source).name[:100]}, as the tier {tier} of {variant}: "
+                        f"{len(found.bounds)} episodes, {len(read.transitions)} steps. "
+                        "No seeds are known that would replay them in this variant's environment.",
+                        *found.notes,
+                    )
+                ),
             ),
             "source": Path(source).name[:200],
             "one_step_difference": near.asdict(),
-            "requirements": [f"{name}=={version(name)}" for name in ("mujoco", "gymnasium")],
-            "versions": {name: version(name) for name in ("imujoco-minari", "mujoco", "gymnasium", "minari")},
             **({"source_columns": read.columns} if read.columns else {}),
             **reference_scores(variant),
         }
         attributes = file_format.attributes(variant, tier) | {file_format.REPLAYABLE: False}
-        external = External(dataset_id, attributes, spec, canonical_mjcf(variant), metadata)
-        published = publish_episodes(external, episodes(read.transitions, found, physics), force=force)
+        dataset = NewDataset(dataset_id, attributes, canonical_mjcf(variant), metadata)
+        recorded = episodes(read.transitions, found, physics)
+        published = publish_episodes(dataset, spec, recorded, force=force)
     return Imported(published, near, found.notes)
 
 
@@ -194,7 +191,7 @@ def _minari(folder: Path, robot: str) -> Source:
     path = file_format.main_file(data)
     if not path.is_file():
         raise DatasetError(f"{folder}: holds no Minari dataset in HDF5, no {file_format.MAIN_FILE}")
-    metadata = _metadata(data)
+    metadata = read_metadata(data)
     parts = []
     with _opened(path) as file:
         for number in range(len(file)):
@@ -246,18 +243,6 @@ def _episode(group: h5py.Group, name: str, robot: str) -> Transitions:
         robot,
         name,
     )
-
-
-def _metadata(data: Path) -> dict[str, Any]:
-    """Return what a dataset's ``metadata.json`` says; it is only quoted, so an unreadable one is empty."""
-    path = data / "metadata.json"
-    try:
-        if path.stat().st_size > _MAX_METADATA_BYTES:
-            return {}
-        metadata = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return {}
-    return metadata if isinstance(metadata, dict) else {}
 
 
 @contextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -22,8 +21,9 @@ from imujoco_minari.importing.safe_unpack import Array, read_npz
 from imujoco_minari.importing.transitions import Cut, Transitions, cut, episodes, fidelity
 from imujoco_minari.policies import SIZES, Policy, RandomPolicy, read_actor
 from imujoco_minari.policies.rollouts import episode_seed, evaluate
-from imujoco_minari.publishing.publisher import External, Published, publish_episodes
+from imujoco_minari.publishing.publisher import NewDataset, Published, publish_episodes
 from imujoco_minari.storage import file_format
+from imujoco_minari.storage.metadata import provenance
 from imujoco_minari.variants import EXPERT
 from imujoco_minari.variants.original import CATALOGUE, ORIGINAL, RECOLLECTED, OriginalVariant
 
@@ -83,15 +83,14 @@ def import_variant(archive: Archive, variant: OriginalVariant, how: Import) -> P
     source, mjcf = archive.mjcf(variant)
     member = archive.member(variant, "dataset")
     with member.on_disk() as path:
-        table, digest = _table(path, str(member)), _sha256(path)
+        table, digest = _table(path, str(member)), file_format.file_sha256(path)
     transitions, layout, checks = read_table(table, variant.robot, str(member), how.columns)
     spec = variant.environment_spec(mjcf)
     with Physics(spec) as physics:
         found = cut(transitions, physics)
         near = fidelity(transitions, found, physics)
-        metadata = _common(variant, spec, source) | {
-            "algorithm_name": "SAC",
-            "description": _description(variant, layout, transitions, found),
+        metadata = _common(variant, spec, "SAC", _description(variant, layout, transitions, found)) | {
+            "mjcf_source": source,
             **_reference_maximum(transitions, found),
             "source": f"dataset/sac-{variant}.npz",
             "source_sha256": digest,
@@ -100,8 +99,8 @@ def import_variant(archive: Archive, variant: OriginalVariant, how: Import) -> P
             "one_step_difference": near.asdict(),
         }
         attributes = _attributes(variant, how.tier) | {file_format.REPLAYABLE: False}
-        external = External(variant.dataset_id(how.tier), attributes, spec, mjcf, metadata)
-        return publish_episodes(external, episodes(transitions, found, physics), force=how.force)
+        dataset = NewDataset(variant.dataset_id(how.tier), attributes, mjcf, metadata)
+        return publish_episodes(dataset, spec, episodes(transitions, found, physics), force=how.force)
 
 
 def recollect(archive: Archive, variant: OriginalVariant, how: Import) -> Published:
@@ -113,24 +112,24 @@ def recollect(archive: Archive, variant: OriginalVariant, how: Import) -> Publis
     source, mjcf = archive.mjcf(variant)
     with archive.member(variant, "policies").on_disk() as path:
         policy = read_actor(path)
-        digest = _sha256(path)
+        digest = file_format.file_sha256(path)
     policy.check(variant.robot)
     spec = variant.environment_spec(mjcf)
-    metadata = _common(variant, spec, source) | {
-        "algorithm_name": policy.algorithm,
-        "description": (
-            f"The original iMuJoCo policy of {variant}, from {SOURCE}, rolled out deterministically for "
-            f"{how.episodes} episodes in the original model under Gymnasium's v5 rules and MuJoCo "
-            f"{version('mujoco')}. The original's own episodes were made with gym's v3 environments."
-        ),
+    description = (
+        f"The original iMuJoCo policy of {variant}, from {SOURCE}, rolled out deterministically for "
+        f"{how.episodes} episodes in the original model under Gymnasium's v5 rules and MuJoCo "
+        f"{version('mujoco')}. The original's own episodes were made with gym's v3 environments."
+    )
+    metadata = _common(variant, spec, policy.algorithm, description) | {
+        "mjcf_source": source,
         "source": f"policies/sac-{variant}.zip",
         "source_sha256": digest,
         "policy_sha256": policy.sha256,
         "policy_deterministic": policy.deterministic,
         "seed": how.seed,
     }
-    external = External(variant.dataset_id(how.tier), _attributes(variant, how.tier), spec, mjcf, metadata)
-    return publish_episodes(external, _rollouts(spec, policy, how), force=how.force)
+    dataset = NewDataset(variant.dataset_id(how.tier), _attributes(variant, how.tier), mjcf, metadata)
+    return publish_episodes(dataset, spec, _rollouts(spec, policy, how), force=how.force)
 
 
 def _rollouts(spec: EnvSpec, policy: Policy, how: Import) -> Iterator[EpisodeBuffer]:
@@ -168,24 +167,19 @@ def _attributes(variant: OriginalVariant, tier: str) -> dict[str, Any]:
     return file_format.attributes(variant, tier) | {CATALOGUE: ORIGINAL}
 
 
-def _common(variant: OriginalVariant, spec: EnvSpec, source: str) -> dict[str, Any]:
+def _common(variant: OriginalVariant, spec: EnvSpec, algorithm: str, description: str) -> dict[str, Any]:
     """Return the metadata that imported and recollected datasets share."""
     env = gym.make(spec)
     try:
         random = evaluate(env, RandomPolicy(SIZES[variant.robot][1]), episodes=REFERENCE_EPISODES)
     finally:
         env.close()
-    names = ("imujoco-minari", "mujoco", "gymnasium", "minari", "numpy")
     return {
-        "author": set(AUTHORS),
-        "code_permalink": CODE,
+        **provenance(authors=AUTHORS, code=CODE, algorithm=algorithm, description=description),
         "license": "Apache-2.0",
-        "mjcf_source": source,
         "ref_min_score": random.return_mean,
         "num_episodes_average_score": random.episodes,
         "ref_min_evaluation": random.asdict(),
-        "requirements": [f"{name}=={version(name)}" for name in ("mujoco", "gymnasium")],
-        "versions": {name: version(name) for name in names},
     }
 
 
@@ -222,8 +216,3 @@ def _table(path: Path, name: str) -> Array:
     if ARRAY not in arrays:
         raise DatasetError(f"{name}: holds no array {ARRAY!r}, but {', '.join(sorted(arrays))[:200]}")
     return arrays[ARRAY]
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

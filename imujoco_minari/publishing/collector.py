@@ -1,7 +1,6 @@
 """Rollouts recorded by ``minari.DataCollector``: a policy and a variant in, stored episodes out.
 
-A collector writes to a folder that it is given; where datasets live, and when one becomes visible,
-is :mod:`imujoco_minari.publishing.publisher`'s.
+A collector writes to the storage that it is given. It knows nothing of the Minari root.
 """
 
 from __future__ import annotations
@@ -21,40 +20,32 @@ from numpy.typing import NDArray
 from imujoco_minari.envs.registration import make
 from imujoco_minari.policies import LANES, Policy
 from imujoco_minari.policies.rollouts import episode_seed, roll_out_together
-from imujoco_minari.storage.writer import EpisodeStorage
+from imujoco_minari.storage.writer import EpisodeStorage, new_storage
 from imujoco_minari.variants import Variant
 
 
-class FolderCollector(DataCollector):  # type: ignore[misc]
-    """A ``minari.DataCollector`` that records into one folder and leaves it there.
+class StorageCollector(DataCollector):  # type: ignore[misc]
+    """A ``minari.DataCollector`` that records into the storage that it is given.
 
-    It records what the stock collector does, array for array, of environments whose observations and
-    actions are plain arrays, with less work a step: the stock one asks at every step whether observation
-    and action lie in their spaces, and rebuilds its buffer through ``jax``, 30 us beside the 25 us of a
-    HalfCheetah's physics. Here the spaces are asked once an episode. Infos are not recorded.
-
-    The stock collector also takes its place from the process-wide ``MINARI_DATASETS_PATH`` and, in
-    ``create_dataset``, moves files one by one into a dataset that is already visible.
+    It records what the stock collector records, array for array, of environments whose observations and
+    actions are plain arrays. The stock collector checks both spaces at every step and rebuilds its buffer
+    through ``jax``: 30 us a step beside the 25 us of a HalfCheetah's physics. This one checks the spaces once
+    an episode. It does not record infos.
 
     Args:
-        env: what is stepped.
-        folder: where the storage is made.
-        attributes: what every episode carries beside Minari's own attributes.
+        env: the environment to step.
+        storage: where episodes go; several collectors may share an :class:`OrderedStorage`.
     """
 
-    def __init__(
-        self, env: gym.Env[Any, Any], folder: Path, attributes: Mapping[str, Any] | None = None
-    ) -> None:
-        self._folder = str(folder)
-        self._attributes = dict(attributes or {})
+    def __init__(self, env: gym.Env[Any, Any], storage: EpisodeStorage | OrderedStorage) -> None:
+        self._given = storage
         self._buffer: EpisodeBuffer | None
-        self._storage: Any
         super().__init__(env)
 
     @property
     def datasets_path(self) -> str:
-        """The folder in which the collector makes its storage."""
-        return self._folder
+        """The folder of the storage; the stock collector takes a process-wide one."""
+        return str(self._given.data_path)
 
     @datasets_path.setter
     def datasets_path(self, value: str) -> None:
@@ -85,28 +76,22 @@ class FolderCollector(DataCollector):  # type: ignore[misc]
         self._buffer = EpisodeBuffer(self._episode_id, seed, options, observations=[observation], actions=[])
         return observation, info
 
-    def keep(self, target: Path) -> None:
-        """Close the environment and move ``main_data.hdf5`` and ``metadata.json`` to ``target``."""
-        self._flush_to_storage()
-        self._storage.flush()
-        Path(self._storage.data_path).rename(target)
-        self.close()
+    def begin(self, number: int) -> None:
+        """Set the number of the episode that the next reset begins."""
+        self._episode_id = number
+
+    def forget(self) -> None:
+        """Forget the episode that has not ended."""
+        self._buffer = None
 
     def close(self) -> None:
-        """Close the environment and remove what was not kept."""
-        self._buffer = None
-        self._storage.flush()
+        """Forget the episode that has not ended, and close the environment."""
+        self.forget()
         self.env.close()
-        self._tmp_dir.cleanup()
 
     def _reset_storage(self) -> None:
-        if hasattr(self, "_tmp_dir"):
-            self._tmp_dir.cleanup()
-        super()._reset_storage()
-        self._storage = EpisodeStorage(
-            self._storage.data_path, self._storage.observation_space, self._storage.action_space
-        )
-        self._storage.attributes = self._attributes
+        self._episode_id = 0
+        self._storage = self._given
 
     def _flush_to_storage(self) -> None:
         if self._buffer is not None and len(self._buffer):
@@ -141,55 +126,51 @@ def collect(
     seed: int,
     target: Path,
     attributes: Mapping[str, Any] | None = None,
-    on_episode: Callable[[], None] | None = None,
+    on_episode: Callable[[], None] = lambda: None,
 ) -> None:
     """Record the numbered ``episodes`` of a dataset as a Minari storage in the new folder ``target``.
 
     Args:
-        variant: whose environment is stepped.
+        variant: the variant whose environment is stepped.
         policy: chooses the actions.
-        episodes: numbers of the episodes within the dataset; each is seeded by its own.
+        episodes: numbers of the episodes within the dataset; each number seeds its episode.
         seed: base seed of the dataset.
         target: the storage's folder; its parent exists.
         attributes: what every episode carries beside Minari's own attributes.
         on_episode: called after each episode.
     """
     seeds = [episode_seed(seed, episode) for episode in episodes]
-    lanes = [FolderCollector(make(variant), target.parent, attributes) for _ in range(min(LANES, len(seeds)))]
-    first = lanes[0]
-    storage = first._storage
-    in_order = _InOrder(storage)
-    for lane in lanes:
-        lane._storage = in_order
-
-    def begin(lane: int, episode: int) -> None:
-        lanes[lane]._episode_id = episode
-
-    roll_out_together(lanes, policy, seeds, begin, on_episode or _nothing)
-    for lane in lanes[1:]:
-        lane.close()
-    first._storage = storage
-    first.keep(target)
+    envs = [make(variant) for _ in range(min(LANES, len(seeds)))]
+    storage = new_storage(target, envs[0], attributes or {})
+    ordered = OrderedStorage(storage)
+    collectors = [StorageCollector(env, ordered) for env in envs]
+    try:
+        roll_out_together(
+            collectors, policy, seeds, lambda lane, episode: collectors[lane].begin(episode), on_episode
+        )
+    finally:
+        for collector in collectors:
+            collector.close()
+        storage.flush()
 
 
-def _nothing() -> None:
-    """Be called after each episode when no one wants to be."""
+class OrderedStorage:
+    """Takes episodes as they end, and hands them to a storage in the order of their numbers.
 
-
-class _InOrder:
-    """Takes episodes as they end, and hands them to a storage in the order of their numbers."""
+    Args:
+        storage: where the episodes go.
+    """
 
     def __init__(self, storage: EpisodeStorage) -> None:
         self._storage = storage
+        self.data_path = storage.data_path
         self.observation_space, self.action_space = storage.observation_space, storage.action_space
         self._waiting: dict[int, EpisodeBuffer] = {}
         self._next = 0
 
     def update_episodes(self, episodes: Iterable[EpisodeBuffer]) -> None:
+        """Take episodes that have ended."""
         self._waiting |= {buffer.id: buffer for buffer in episodes}
         while self._next in self._waiting:
             self._storage.update_episodes([self._waiting.pop(self._next)])
             self._next += 1
-
-    def flush(self) -> None:
-        self._storage.flush()

@@ -1,9 +1,8 @@
 """Collections: many datasets of one robot as one Minari dataset.
 
 Stock ``minari.combine_datasets`` refuses datasets whose environments differ, as variants' do, and drops
-seeds and episode attributes. Here episodes are copied as they are, or linked to, so that every attribute
-stays, and no array is decoded: as bytes where all files are whole and as this package writes them, by HDF5
-where not.
+seeds and episode attributes. Here HDF5 copies or links whole episodes, so every attribute stays and no array
+is decoded.
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.metadata import version
 from os.path import relpath
 from pathlib import Path
 from typing import Any
@@ -25,9 +23,9 @@ from minari.dataset.minari_storage import MinariStorage
 
 from imujoco_minari.envs.registration import collection_spec, environment_spec
 from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError
-from imujoco_minari.publishing.joining import Joiner, NotPlainError
-from imujoco_minari.publishing.sources import IDENTITY, Source, check_sources, open_source
+from imujoco_minari.publishing.sources import Source, check_sources, open_source
 from imujoco_minari.storage import copying, file_format, minari_root
+from imujoco_minari.storage.metadata import complete_metadata, provenance
 from imujoco_minari.storage.quiet_file import writing
 from imujoco_minari.variants import EXPERT, NAMESPACE, Variant, catalogue
 from imujoco_minari.variants.original import (
@@ -43,12 +41,17 @@ from imujoco_minari.verification.child_process import survives
 
 @dataclass(frozen=True)
 class _Written:
-    """What was written: what identifies each episode, their steps, what the file says, and its digest."""
+    """What was written.
+
+    Attributes:
+        attributes: the identifying attributes of each episode.
+        steps: number of steps of all episodes.
+        stated: what the metadata state of the content.
+    """
 
     attributes: list[dict[str, Any]]
     steps: int
-    said: dict[str, Any]
-    sha256: str | None = None
+    stated: dict[str, Any]
 
 
 def combine_datasets(
@@ -83,15 +86,15 @@ def combine_datasets(
     with minari_root.failures_named():
         sources = [open_source(dataset) for dataset in datasets_to_combine]
         check_sources(sources)
-    with minari_root.staging(new_dataset_id) as staging_folder, _beside() as threads:
+    with minari_root.staging(new_dataset_id) as staging_folder:
         staged = staging_folder / "dataset"
         staged.mkdir()
         data = staged / "data"
         with _damage_named():
-            storage = MinariStorage.new(
+            MinariStorage.new(
                 data,
-                observation_space=sources[0].storage.observation_space,
-                action_space=sources[0].storage.action_space,
+                observation_space=sources[0].observation_space,
+                action_space=sources[0].action_space,
             )
             if link:
                 if force:
@@ -99,13 +102,8 @@ def combine_datasets(
                     copying.check_replaced(new_dataset_id, file_format.main_file(folder / "data"), files)
                 written = _link(sources, data, folder / "data")
             else:
-                written = _join(sources, data) or _copy(sources, data, threads)
-        storage.update_metadata({"total_episodes": len(written.attributes), "total_steps": written.steps})
-        # The bytes go to the disk while their digest is taken.
-        on_disk = threads.submit(minari_root.sync_file, file_format.main_file(data))
-        _describe(sources, data, new_dataset_id, written)
-        file_format.seal_files(data, written.sha256)
-        on_disk.result()
+                written = _copy(sources, data)
+        complete_metadata(data, _metadata(sources, new_dataset_id, written))
         minari_root.commit(staged, new_dataset_id, replace=force)
     with minari_root.failures_named():
         return MinariDataset(folder / "data")
@@ -136,129 +134,110 @@ def _damage_named() -> Iterator[None]:
         ) from None
 
 
-@contextmanager
-def _beside() -> Iterator[ThreadPoolExecutor]:
-    """Yield threads for what the operating system does, digests and disks, while this one copies."""
+def _screened(sources: Sequence[Source]) -> Iterator[Source]:
+    """Yield the sources, each when its file has proved harmless to HDF5."""
     threads = ThreadPoolExecutor(max(1, (os.cpu_count() or 1) - 1))
     try:
-        yield threads
+        for source, _ in zip(sources, threads.map(_screen, sources), strict=True):
+            yield source
     finally:
         threads.shutdown(cancel_futures=True)
 
 
-def _screened(sources: Sequence[Source], threads: ThreadPoolExecutor) -> Iterator[Source]:
-    """Yield the sources, each when its file has proved harmless."""
-    for source, _ in zip(sources, threads.map(_screen, sources), strict=True):
-        yield source
-
-
 def _screen(source: Source) -> None:
-    """Raise a DatasetError for a file on which HDF5 may hang or crash; one that is as published is none."""
-    stated = source.storage.metadata.get(file_format.FILE_DIGEST)
-    if stated != file_format.file_sha256(source.file) and (finding := survives(source.file.parent)):
+    """Raise a DatasetError for a file on which HDF5 may hang or crash; a file as it was published is none."""
+    try:
+        digest = file_format.file_sha256(source.file)
+    except FileNotFoundError:
+        raise DatasetError(
+            f"{source.dataset_id} was deleted while it was read: nothing was combined"
+        ) from None
+    if digest != source.metadata.get(file_format.FILE_DIGEST) and (finding := survives(source.data)):
         raise DatasetError(f"{source.dataset_id} cannot be combined: {finding}")
 
 
-def _join(sources: Sequence[Source], data: Path) -> _Written | None:
-    """Write the episodes as bytes, or return None where one of the sources asks for HDF5."""
-    if any(source.episodes != list(range(len(source.episodes))) for source in sources):
-        return None
-    attributes: list[dict[str, Any]] = []
-    steps, digests = 0, list[str]()
-    sizes = [source.file.stat().st_size for source in sources]
-    episodes = sum(len(source.episodes) for source in sources)
-    try:
-        with Joiner(file_format.main_file(data), sizes, episodes) as joiner:
-            for source in sources:
-                layout = joiner.add(source.file)
-                if layout.episodes.size != len(source.episodes):
-                    return None
-                attributes += source.attributes(layout.attributes)
-                steps += layout.steps
-                digests += layout.digests
-            said = _common(attributes) | {"content_sha256": file_format.dataset_sha256(digests)}
-            sha256 = joiner.finish(said)
-    except NotPlainError:
-        return None
-    return _Written(attributes, steps, said, sha256)
-
-
-def _copy(sources: Sequence[Source], data: Path, threads: ThreadPoolExecutor) -> _Written:
-    """Copy the episodes by HDF5."""
+def _copy(sources: Sequence[Source], data: Path) -> _Written:
+    """Copy the episodes into the new file."""
     attributes: list[dict[str, Any]] = []
     steps, digests = 0, list[str]()
     with writing(file_format.main_file(data), new=True) as target:
-        for source in _screened(sources, threads):
-            with h5py.File(source.file, "r") as file:
-                attributes += source.attributes(file.attrs)
+        for source in _screened(sources):
+            with source.opened() as file:
+                attributes += source.attributes(file)
                 copied = copying.copy_episodes(file, source.episodes, target, source.dataset_id)
                 steps += copied.steps
                 digests += copied.digests
-        said = _common(attributes) | {"content_sha256": file_format.dataset_sha256(digests)}
-        target.attrs.update(said)
-    return _Written(attributes, steps, said)
+        stated = _common(attributes) | {"content_sha256": file_format.dataset_sha256(digests)}
+        target.attrs.update(stated)
+    return _Written(attributes, steps, stated)
 
 
 def _link(sources: Sequence[Source], data: Path, linked_from: Path) -> _Written:
     """Write links to the episodes, for a file that will lie in ``linked_from``."""
     attributes: list[dict[str, Any]] = []
-    steps, digests = 0, list[str]()
+    steps, linked = 0, list[list[Any]]()
     with writing(file_format.main_file(data), new=True) as target:
         for source in sources:
-            with h5py.File(source.file, "r") as file:
-                attributes += source.attributes(file.attrs)
-                place = relpath(source.file, linked_from)
-                digests += copying.link_episodes(file, source.episodes, target, place)
+            with source.opened() as file:
+                attributes += source.attributes(file)
+                copying.link_episodes(file, source.episodes, target, relpath(source.file, linked_from))
                 steps += _steps(source, file)
-        said = _common(attributes) | {file_format.LINKED_DIGEST: file_format.dataset_sha256(digests)}
-        target.attrs.update(said)
-    return _Written(attributes, steps, said)
+                linked.append([len(source.episodes), _content(source, file)])
+        stated = _common(attributes)
+        target.attrs.update(stated)
+    return _Written(attributes, steps, stated | {file_format.LINKED: linked})
 
 
 def _steps(source: Source, file: h5py.File) -> int:
-    """Return how many steps a source's episodes have, without opening each where all are in it."""
-    metadata = source.storage.metadata
-    if len(source.episodes) == metadata["total_episodes"]:
-        return int(metadata["total_steps"])
+    """Return how many steps the source's episodes have, without opening each if all go in."""
+    if source.whole:
+        return int(source.metadata["total_steps"])
     return sum(int(file[f"episode_{number}"].attrs["total_steps"]) for number in source.episodes)
 
 
+def _content(source: Source, file: h5py.File) -> str:
+    """Return the digest of the source's episodes, without opening each if all go in."""
+    if source.whole and "content_sha256" in source.metadata:
+        return str(source.metadata["content_sha256"])
+    digests = (file[f"episode_{number}"].attrs.get(file_format.DIGEST, "") for number in source.episodes)
+    return file_format.dataset_sha256(map(str, digests))
+
+
 def _common(attributes: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return what all the episodes say alike of what they are of."""
+    """Return the identifying attributes that all episodes share."""
     first = attributes[0]
     return {
         key: first[key]
-        for key in IDENTITY
+        for key in file_format.IDENTITY
         if key in first and all(attrs is first or attrs.get(key) == first[key] for attrs in attributes)
     }
 
 
-def _describe(sources: Sequence[Source], data: Path, dataset_id: str, written: _Written) -> None:
-    """Write the collection's metadata."""
+def _metadata(sources: Sequence[Source], dataset_id: str, written: _Written) -> dict[str, Any]:
+    """Return the collection's metadata."""
     attributes = written.attributes
     spec = _env_spec(sources, dataset_id, attributes)
-    metadata = {
+    algorithms = sorted({str(source.metadata.get("algorithm_name", "unknown")) for source in sources})
+    requirements = {str(r) for source in sources for r in source.metadata.get("requirements") or []}
+    return {
+        **provenance(
+            authors={str(author) for source in sources for author in source.metadata.get("author") or []},
+            algorithm=", ".join(algorithms),
+            description=f"A collection of {len(attributes)} episodes out of {len(sources)} datasets.",
+        ),
+        "requirements": sorted(requirements),
         "dataset_id": dataset_id,
         "combined_datasets": [source.dataset_id for source in sources],
-        "minari_version": version("minari"),
-        "algorithm_name": ", ".join(
-            sorted({str(s.storage.metadata.get("algorithm_name", "unknown")) for s in sources})
-        ),
-        "author": set().union(*(s.storage.metadata.get("author", set()) for s in sources)),
-        "code_permalink": f"imujoco-minari=={version('imujoco-minari')}",
-        "description": f"A collection of {len(attributes)} episodes out of {len(sources)} datasets.",
-        **({CATALOGUE: ORIGINAL} if is_original(sources[0].storage.metadata) else {}),
-        "requirements": sorted({str(r) for s in sources for r in s.storage.metadata.get("requirements", [])}),
+        "total_episodes": len(attributes),
+        "total_steps": written.steps,
+        **({CATALOGUE: ORIGINAL} if is_original(sources[0].metadata) else {}),
+        **({} if spec is None else {"env_spec": spec.to_json()}),
+        **{key: _plain(value) for key, value in written.stated.items()},
     }
-    storage = MinariStorage.read(data)
-    if spec is not None:
-        metadata["env_spec"] = spec.to_json()
-    storage.update_metadata(metadata | {key: _plain(value) for key, value in written.said.items()})
-    storage.update_metadata({"dataset_size": storage.get_size()})
 
 
 def _env_spec(sources: Sequence[Source], dataset_id: str, attributes: list[dict[str, Any]]) -> EnvSpec | None:
-    if any(is_original(source.storage.metadata) for source in sources):
+    if any(is_original(source.metadata) for source in sources):
         return originals_spec(_collection_name(dataset_id), _original_models(sources))
     names = list(dict.fromkeys(str(attrs["variant"]) for attrs in attributes if "variant" in attrs))
     if len(names) == 1:
@@ -279,7 +258,7 @@ def _original_models(sources: Sequence[Source]) -> dict[OriginalVariant, str]:
     """Return the models of sources that all hold the original's variants, whose ids do not imply them."""
     models: dict[OriginalVariant, str] = {}
     for source in sources:
-        if not is_original(source.storage.metadata) or source.env_spec is None:
+        if not is_original(source.metadata) or source.env_spec is None:
             raise DatasetError(
                 f"{source.dataset_id} does not hold the original's variants, as others here do: "
                 "their environments differ even where their ids do not, and cannot be combined"

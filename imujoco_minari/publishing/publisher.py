@@ -6,32 +6,30 @@ whole and has been checked, and what is interrupted was never visible.
 
 from __future__ import annotations
 
-import platform
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import h5py
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from minari.data_collector import EpisodeBuffer
-from minari.dataset.minari_storage import MinariStorage
 
 from imujoco_minari.envs.mjcf import canonical_mjcf, mjcf_sha256
-from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError, JobError
+from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError, JobError, clipped
 from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies.references import reference_scores
-from imujoco_minari.policies.tiers import Part
 from imujoco_minari.publishing.recipes import Recipe, algorithms, description
-from imujoco_minari.publishing.shares import Progress, record_shares
+from imujoco_minari.publishing.shares import OnEpisode, record_shares
 from imujoco_minari.storage import file_format, minari_root
+from imujoco_minari.storage.metadata import complete_metadata, provenance, read_metadata
 from imujoco_minari.storage.quiet_file import writing
-from imujoco_minari.storage.writer import EpisodeStorage
-from imujoco_minari.variants import Variant
+from imujoco_minari.storage.writer import new_storage
+from imujoco_minari.variants import EXPERT, Variant
 from imujoco_minari.verification import inspect
 
 
@@ -67,96 +65,150 @@ class Published:
 def publish(
     variant: Variant | str | Recipe,
     *,
+    tier: str = EXPERT,
+    episodes: int = 100,
+    seed: int = 0,
+    policy: Path | str | None = None,
+    stochastic: bool = False,
     jobs: int = 1,
     force: bool = False,
-    on_episode: Progress | None = None,
-    **options: Any,
+    on_episode: OnEpisode = lambda: None,
 ) -> Published:
     """Publish one variant's dataset into the Minari root.
 
     Args:
-        variant: a variant, its id, or a whole :class:`Recipe`.
-        jobs: how many processes roll the episodes out; the content does not depend on it.
-        force: replace a dataset that has the id; the old one stands until the new one is whole.
-        on_episode: called after each episode (each share of the episodes, with several jobs).
-        **options: the other fields of :class:`Recipe`.
+        variant: a variant or its id; or a whole :class:`~imujoco_minari.publishing.recipes.Recipe`, which
+            replaces the next five arguments.
+        tier: which policy makes the data; part of the dataset's id.
+        episodes: number of episodes.
+        seed: base seed of all that is random.
+        policy: a policy file to use instead of the shipped policy.
+        stochastic: sample the actions instead of taking the policy's mode.
+        jobs: number of processes; the content does not depend on it.
+        force: replace a dataset that has the id; the old dataset stands until the new one is whole.
+        on_episode: called after each episode (after each share of the episodes, with several jobs).
 
     Returns:
-        What was made, or, with ``created`` false, the dataset that has the id already.
+        What was made. If the root has the dataset already, made by the same recipe, ``created`` is false.
 
     Raises:
-        ImujocoError: when the policy cannot be had, the root not written, or the check fails.
+        DatasetExistsError: when the root has another dataset with this id and ``force`` is false.
+        ImujocoError: when there is no such policy, the root cannot be written, or the check fails.
+
+    Example:
+        >>> published = publish("hopper-massdec_25_leggeom", tier="random", episodes=5)
+        >>> published.dataset_id
+        'imujoco/hopper-massdec_25_leggeom-random-v0'
     """
-    if not isinstance(variant, Recipe):
-        variant = Recipe(Variant.parse(variant) if isinstance(variant, str) else variant, **options)
     recipe = variant
+    if not isinstance(recipe, Recipe):
+        parsed = Variant.parse(recipe) if isinstance(recipe, str) else recipe
+        path = None if policy is None else Path(policy)
+        recipe = Recipe(parsed, tier, episodes, seed, path, stochastic)
     if minari_root.taken(recipe.dataset_id) and not force:
+        _check_same(recipe.dataset_id, recipe.stated())
         return _summary(recipe.dataset_id, created=False)
     start = time.monotonic()
     made_by = recipe.parts()
+    metadata = reference_scores(recipe.variant) | recipe.stated() | {"tier": recipe.tier}
+    metadata |= provenance(
+        algorithm=algorithms([part.policy for part in made_by]), description=description(recipe, made_by)
+    )
     with minari_root.staging(recipe.dataset_id) as folder:
         staged = folder / "dataset"
         staged.mkdir()
-        data = staged / "data"
-        record_shares(recipe, made_by, data, jobs, on_episode)
-        _complete(recipe, made_by, data)
-        created = _commit(staged, recipe.dataset_id, force)
+        record_shares(recipe, made_by, staged / "data", jobs, on_episode)
+        dataset = NewDataset(recipe.dataset_id, recipe.attributes, canonical_mjcf(recipe.variant), metadata)
+        created = _commit(staged, dataset, force)
     return _summary(recipe.dataset_id, created=created, seconds=time.monotonic() - start)
 
 
 @dataclass(frozen=True)
-class External:
-    """What identifies a dataset whose episodes were not rolled out from a recipe.
+class NewDataset:
+    """What identifies a dataset whose episodes are there.
 
     Attributes:
         dataset_id: the id under which it is published.
-        attributes: what the root and every episode carry, :func:`content.attributes` among them.
-        env_spec: the environment that the dataset recovers.
-        mjcf: the MJCF text that this environment runs.
-        metadata: what ``metadata.json`` says beyond what follows from the episodes.
+        attributes: what the file carries, and every episode.
+        mjcf: the MJCF text that its environment runs.
+        metadata: what ``metadata.json`` states beside what follows from the episodes.
     """
 
     dataset_id: str
     attributes: Mapping[str, Any]
-    env_spec: EnvSpec
     mjcf: str
     metadata: Mapping[str, Any]
 
 
 def publish_episodes(
-    external: External, episodes: Iterable[EpisodeBuffer], *, force: bool = False
+    dataset: NewDataset, spec: EnvSpec, episodes: Iterable[EpisodeBuffer], *, force: bool = False
 ) -> Published:
-    """Publish episodes that were made elsewhere; staged, checked and committed as any other dataset.
+    """Publish episodes that were made elsewhere: staged, checked and committed as any other dataset.
+
+    Args:
+        dataset: what identifies it.
+        spec: the environment that the dataset recovers.
+        episodes: its episodes, in order.
+        force: replace a dataset that has the id.
 
     Raises:
+        DatasetExistsError: when the root has another dataset with this id and ``force`` is false.
         ImujocoError: when the root cannot be written, or the check of the staged dataset fails.
     """
-    dataset_id = external.dataset_id
+    dataset_id = dataset.dataset_id
     if minari_root.taken(dataset_id) and not force:
+        _check_same(dataset_id, {key: dataset.metadata[key] for key in _SOURCE if key in dataset.metadata})
         return _summary(dataset_id, created=False)
     start = time.monotonic()
     with minari_root.staging(dataset_id) as folder:
         staged = folder / "dataset"
-        data = staged / "data"
-        data.mkdir(parents=True)
-        stock = MinariStorage.new(data, env_spec=external.env_spec)
-        storage = EpisodeStorage(data, stock.observation_space, stock.action_space)
-        storage.attributes = external.attributes
+        staged.mkdir()
+        env = gym.make(spec)
+        storage = new_storage(staged / "data", env, dataset.attributes)
+        env.close()
         storage.update_episodes(episodes)
         storage.flush()
-        storage.update_metadata(
-            _seal(storage, external.attributes, external.mjcf)
-            | {"dataset_id": dataset_id, "minari_version": version("minari")}
-            | {**external.metadata, "dataset_size": storage.get_size()}
-        )
-        created = _commit(staged, dataset_id, force)
+        created = _commit(staged, dataset, force)
     return _summary(dataset_id, created=created, seconds=time.monotonic() - start)
 
 
-def _commit(staged: Path, dataset_id: str, force: bool) -> bool:
-    """Seal, check and commit a staged dataset; return False when another publisher of the id was faster."""
-    file_format.seal_files(staged / "data")
-    findings = inspect(staged / "data", replay_episodes=1)
+# Metadata of imported data that tell one source from another.
+_SOURCE = ("source", "source_sha256", "seed", "policy_sha256")
+
+
+def _check_same(dataset_id: str, asked: Mapping[str, Any]) -> None:
+    """Raise unless the dataset with this id was made as is asked for now."""
+    stated = read_metadata(minari_root.dataset_folder(dataset_id) / "data")
+    differing = {key: value for key, value in asked.items() if stated.get(key, value) != value}
+    if differing:
+        has = ", ".join(_shown(key, stated[key]) for key in differing)
+        wanted = ", ".join(_shown(key, value) for key, value in differing.items())
+        raise DatasetExistsError(
+            f"{dataset_id} is already published, but differs: it has {has}; you asked for {wanted}. "
+            "Replace it with --force (force=True), or choose another tier"
+        )
+
+
+def _shown(key: str, value: Any) -> str:
+    """Return a value of the metadata as a message shows it."""
+    if key == "total_episodes":
+        return f"{value} episodes"
+    if key == "policy_deterministic":
+        return "deterministic actions" if value else "sampled actions"
+    return f"{key.removesuffix('_sha256')} {clipped(value)}"
+
+
+def _commit(staged: Path, dataset: NewDataset, force: bool) -> bool:
+    """Seal, check and commit a staged dataset; return False if another publisher of the id was faster."""
+    data, dataset_id = staged / "data", dataset.dataset_id
+    with writing(file_format.main_file(data)) as file:
+        digests = {
+            "mjcf_sha256": mjcf_sha256(dataset.mjcf),
+            "content_sha256": file_format.content_sha256(file, len(file)),
+        }
+        file.attrs.update({**dataset.attributes, "mjcf": dataset.mjcf, **digests})
+    complete_metadata(data, {**dataset.metadata, **dataset.attributes, **digests, "dataset_id": dataset_id})
+    findings = inspect(data, replay_episodes=1)
     if findings:
         raise DatasetError(f"{dataset_id}: not published, its check found: {findings[0]}")
     try:
@@ -198,46 +250,6 @@ def _attempt(recipe: Recipe, force: bool) -> Published:
         return publish(recipe, force=force)
     except ImujocoError as error:
         return Published(recipe.dataset_id, error=str(error))
-
-
-def _complete(recipe: Recipe, made_by: Sequence[Part], data: Path) -> None:
-    """Add what the collector did not record: the root's attributes and digests, and the metadata."""
-    policies = [part.policy for part in made_by]
-    storage = MinariStorage.read(data)
-    storage.update_metadata(
-        _seal(storage, recipe.attributes, canonical_mjcf(recipe.variant))
-        | reference_scores(recipe.variant)
-        | {
-            "dataset_id": recipe.dataset_id,
-            "minari_version": version("minari"),
-            "algorithm_name": algorithms(policies),
-            "author": {"imujoco_minari"},
-            "code_permalink": f"imujoco-minari=={version('imujoco-minari')}",
-            "description": description(recipe, policies),
-            "requirements": [f"{name}=={version(name)}" for name in ("mujoco", "gymnasium")],
-            "policy_sha256": ",".join(policy.sha256 for policy in policies),
-            "policy_deterministic": all(policy.deterministic for policy in policies),
-            "seed": recipe.seed,
-            "versions": {
-                name: version(name) for name in ("imujoco-minari", "mujoco", "gymnasium", "minari", "numpy")
-            },
-            "machine": platform.machine(),
-            # With these BLAS and the C library calculate otherwise, in the last bit, than without.
-            "simd": np.show_config(mode="dicts")["SIMD Extensions"]["found"],
-            "dataset_size": storage.get_size(),
-        }
-    )
-
-
-def _seal(storage: MinariStorage, attributes: Mapping[str, Any], mjcf: str) -> dict[str, Any]:
-    """Write attributes and digests to the HDF5 file's root; return them as the metadata repeats them."""
-    with writing(file_format.main_file(storage.data_path)) as file:
-        digests = {
-            "mjcf_sha256": mjcf_sha256(mjcf),
-            "content_sha256": file_format.content_sha256(file, len(file)),
-        }
-        file.attrs.update({**attributes, "mjcf": mjcf, **digests})
-    return {**attributes, **digests}
 
 
 def _summary(dataset_id: str, *, created: bool, seconds: float = 0.0) -> Published:

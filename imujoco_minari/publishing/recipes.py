@@ -59,15 +59,25 @@ class Recipe:
         """Return the policies that make the dataset, and how many episodes each."""
         return parts(self.variant, self.tier, self.episodes, path=self.policy, stochastic=self.stochastic)
 
+    def stated(self) -> dict[str, Any]:
+        """Return the metadata by which a dataset of this recipe is told from others of the same id."""
+        policies = [part.policy for part in self.parts()]
+        return {
+            "total_episodes": self.episodes,
+            "seed": self.seed,
+            "policy_sha256": ",".join(policy.sha256 for policy in policies),
+            "policy_deterministic": all(policy.deterministic for policy in policies),
+        }
+
 
 def algorithms(policies: Sequence[Policy]) -> str:
     """Return the names of the policies' algorithms, as a dataset's metadata states them."""
     return ", ".join(dict.fromkeys(policy.algorithm for policy in policies))
 
 
-def description(recipe: Recipe, policies: Sequence[Policy]) -> str:
-    """Return what a dataset's metadata says of it in a sentence or two."""
-    variant = recipe.variant
+def description(recipe: Recipe, made_by: Sequence[Part]) -> str:
+    """Return the description in a dataset's metadata: one or two sentences."""
+    variant, policies = recipe.variant, [part.policy for part in made_by]
     change = (
         "unchanged"
         if not variant.body

@@ -20,7 +20,7 @@ from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.storage import copying, file_format
 from imujoco_minari.storage.quiet_file import writing
 
-Progress = Callable[[], None]
+OnEpisode = Callable[[], None]
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class _Share:
 
 
 def record_shares(
-    recipe: Recipe, made_by: Sequence[Part], data: Path, jobs: int, on_episode: Progress | None
+    recipe: Recipe, made_by: Sequence[Part], data: Path, jobs: int, on_episode: OnEpisode
 ) -> None:
     """Record the recipe's episodes in ``data``, in shares that are joined in order."""
     shares = list(_shares(made_by, data, jobs))
@@ -45,8 +45,7 @@ def record_shares(
             if isinstance(outcome, JobError):
                 raise outcome
             for _ in shares[number].episodes:
-                if on_episode is not None:
-                    on_episode()
+                on_episode()
     _join([share.folder for share in shares], data)
 
 
@@ -61,7 +60,7 @@ def _shares(made_by: Sequence[Part], data: Path, jobs: int) -> Iterator[_Share]:
         first += part.episodes
 
 
-def _record(recipe: Recipe, share: _Share, on_episode: Progress | None = None) -> None:
+def _record(recipe: Recipe, share: _Share, on_episode: OnEpisode = lambda: None) -> None:
     """Record a share, in the place of what a lost worker left in its folder."""
     shutil.rmtree(share.folder, ignore_errors=True)
     attributes = {**recipe.episode_attributes, **share.part.attributes}

@@ -1,22 +1,22 @@
-"""The datasets that go into a collection: loaded without running anything, and checked to make one."""
+"""The datasets that go into a collection: read once, without running anything, and checked to make one."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import h5py
 from gymnasium.envs.registration import EnvSpec
 from minari import MinariDataset
+from minari.serialization import deserialize_space
 
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError
 from imujoco_minari.storage import copying, file_format, minari_root
-from imujoco_minari.verification.identity import read_metadata
-
-# What tells of what an episode is; a collection says it itself where all its episodes agree.
-IDENTITY = ("variant", "robot", "category", "body", "percent", "tier")
+from imujoco_minari.storage.metadata import read_metadata
 
 
 @dataclass(frozen=True)
@@ -25,78 +25,107 @@ class Source:
 
     Attributes:
         dataset_id: its id.
-        file: its HDF5 file.
-        episodes: the numbers of those that go in.
-        storage: Minari's, with the metadata.
-        env_spec: of its environment, where it has one.
-        content_sha256: the digest that its metadata states, if any.
+        data: its ``data`` folder.
+        folder: device and inode of that folder, by which a replaced dataset is noticed.
+        metadata: the content of its ``metadata.json``, read once.
+        episodes: numbers of the episodes that go in.
+        observation_space: the space that its metadata states.
+        action_space: the space that its metadata states.
+        env_spec: the specification of its environment; None if it states none.
     """
 
     dataset_id: str
-    file: Path
+    data: Path
+    folder: tuple[int, int]
+    metadata: dict[str, Any]
     episodes: Sequence[int]
-    storage: Any
+    observation_space: gym.Space[Any]
+    action_space: gym.Space[Any]
     env_spec: EnvSpec | None
-    content_sha256: str | None
 
-    def attributes(self, said: Mapping[str, Any]) -> list[dict[str, Any]]:
-        """Return what identifies each episode, given what the file says of itself.
+    @property
+    def file(self) -> Path:
+        """Its HDF5 file."""
+        return file_format.main_file(self.data)
+
+    @property
+    def whole(self) -> bool:
+        """Whether all its episodes go in, in their order."""
+        return list(self.episodes) == list(range(int(self.metadata.get("total_episodes", -1))))
+
+    @contextmanager
+    def opened(self) -> Iterator[h5py.File]:
+        """Open the HDF5 file, of the same dataset as the metadata.
 
         Raises:
-            DatasetError: when the file is not the one that the metadata is of.
+            DatasetError: when the dataset was replaced or deleted since its metadata were read.
         """
-        if said.get("content_sha256") != self.content_sha256:
+        try:
+            with h5py.File(self.file, "r") as file:
+                if self.folder != _folder(self.data) or self._digest(file.attrs) != self._digest(
+                    self.metadata
+                ):
+                    raise DatasetError(
+                        f"{self.dataset_id} was replaced while it was read: nothing was combined; try again"
+                    )
+                yield file
+        except FileNotFoundError:
             raise DatasetError(
-                f"{self.dataset_id} was replaced while it was read, or is damaged: nothing was combined"
-            )
-        if all(key in said for key in IDENTITY):
-            return [{key: said[key] for key in IDENTITY}] * len(self.episodes)
-        with h5py.File(self.file, "r") as file:
-            return copying.episode_attributes(file, self.episodes, IDENTITY)
+                f"{self.dataset_id} was deleted while it was read: nothing was combined"
+            ) from None
+
+    def attributes(self, file: h5py.File) -> list[dict[str, Any]]:
+        """Return the identifying attributes of each episode that goes in."""
+        if all(key in file.attrs for key in file_format.IDENTITY):
+            return [{key: file.attrs[key] for key in file_format.IDENTITY}] * len(self.episodes)
+        return copying.episode_attributes(file, self.episodes, file_format.IDENTITY)
+
+    @staticmethod
+    def _digest(stated: Any) -> Any:
+        return stated.get("content_sha256")
 
 
 def open_source(dataset: MinariDataset | str) -> Source:
-    """Return a dataset, or the one that has an id, as a source.
+    """Return a dataset, or the dataset with this id, as a source.
 
     Raises:
-        DatasetNotFoundError: when the id names no dataset of the Minari root.
-        DatasetError: when it cannot be loaded, or not without risk.
+        DatasetNotFoundError: when no dataset of the Minari root has the id.
+        DatasetError: when it cannot be loaded, or only by running what its metadata name.
     """
     if isinstance(dataset, str):
-        folder = minari_root.dataset_folder(dataset) / "data"
-        if not folder.is_dir():
-            raise DatasetNotFoundError(f"{dataset} is not in the Minari root, at {folder.parent}")
-        # Read first: where another process replaces the dataset now, the file will not match.
-        stated = read_metadata(folder).get("content_sha256")
-        dataset = _load(dataset, folder)
+        dataset_id, data = dataset, minari_root.dataset_folder(dataset) / "data"
+        if not data.is_dir():
+            raise DatasetNotFoundError(f"{dataset} is not in the Minari root, at {data.parent}")
+        chosen = None
+    elif isinstance(dataset, MinariDataset):
+        if dataset.storage.FORMAT != "hdf5":
+            raise DatasetError(f"{dataset.id} is stored as {dataset.storage.FORMAT}; valid: hdf5")
+        dataset_id, data = dataset.id, Path(dataset.storage.data_path)
+        chosen = [int(index) for index in dataset.episode_indices]
     else:
-        stated = dataset.storage.metadata.get("content_sha256")
-    if dataset.storage.FORMAT != "hdf5":
-        raise DatasetError(f"{dataset.id} is stored as {dataset.storage.FORMAT}; valid: hdf5")
-    return Source(
-        dataset_id=dataset.id,
-        file=file_format.main_file(dataset.storage.data_path),
-        episodes=[int(index) for index in dataset.episode_indices],
-        storage=dataset.storage,
-        env_spec=dataset.env_spec,
-        content_sha256=stated,
-    )
-
-
-def _load(dataset_id: str, data: Path) -> MinariDataset:
-    """Load a dataset, but never by making the environment that its metadata names, which may be anything."""
-    metadata = read_metadata(data)
-    if not all(isinstance(metadata.get(key), str) for key in ("observation_space", "action_space")):
-        raise DatasetError(
-            f"{dataset_id} does not state its spaces, so that Minari would run what its env_spec names: "
-            f"do not load it; see `imujoco verify {dataset_id}`"
-        )
+        raise DatasetError(f"a dataset is a Minari dataset or its id, not {type(dataset).__name__}")
     try:
-        return MinariDataset(data)
-    except Exception as error:  # Minari asserts and raises whatever odd metadata makes it stumble on
+        folder = _folder(data)
+    except OSError:
+        raise DatasetNotFoundError(f"{dataset_id} was deleted: {data} does not exist") from None
+    metadata = read_metadata(data)
+    if metadata.get("data_format", "hdf5") != "hdf5":
+        raise DatasetError(f"{dataset_id} is stored as {metadata['data_format']}; valid: hdf5")
+    total = metadata.get("total_episodes")
+    if not isinstance(total, int):
         raise DatasetError(
-            f"{dataset_id} cannot be loaded: {type(error).__name__}: {str(error)[:200]}"
-        ) from None
+            f"{dataset_id} does not state how many episodes it has; see `imujoco verify {dataset_id}`"
+        )
+    return Source(
+        dataset_id=dataset_id,
+        data=data,
+        folder=folder,
+        metadata=metadata,
+        episodes=range(total) if chosen is None else chosen,
+        observation_space=_space(dataset_id, metadata, "observation_space"),
+        action_space=_space(dataset_id, metadata, "action_space"),
+        env_spec=_env_spec(dataset_id, metadata),
+    )
 
 
 def check_sources(sources: Sequence[Source]) -> None:
@@ -105,7 +134,7 @@ def check_sources(sources: Sequence[Source]) -> None:
         raise DatasetError("there is nothing to combine: no dataset was given")
     if not any(source.episodes for source in sources):
         raise DatasetError("there is nothing to combine: the datasets hold no episodes")
-    robots = {str(source.storage.metadata.get("robot", "unknown")): source.dataset_id for source in sources}
+    robots = {str(source.metadata.get("robot", "unknown")): source.dataset_id for source in sources}
     if len(robots) > 1:
         raise DatasetError(
             "a collection holds one robot, but these are of several: "
@@ -113,10 +142,44 @@ def check_sources(sources: Sequence[Source]) -> None:
         )
     first = sources[0]
     for source in sources[1:]:
-        for space in ("observation_space", "action_space"):
-            ours, theirs = getattr(first.storage, space), getattr(source.storage, space)
+        for name in ("observation_space", "action_space"):
+            ours, theirs = getattr(first, name), getattr(source, name)
             if ours != theirs:
                 raise DatasetError(
                     f"{first.dataset_id} and {source.dataset_id} cannot be combined: "
-                    f"their {space.replace('_', ' ')}s differ, {ours} and {theirs}"
+                    f"their {name.replace('_', ' ')}s differ, {ours} and {theirs}"
                 )
+
+
+def _folder(data: Path) -> tuple[int, int]:
+    state = data.stat()
+    return state.st_dev, state.st_ino
+
+
+def _space(dataset_id: str, metadata: dict[str, Any], key: str) -> gym.Space[Any]:
+    text = metadata.get(key)
+    if not isinstance(text, str):
+        # Minari would make the environment to ask it for its space, and the environment may be anything.
+        raise DatasetError(
+            f"{dataset_id} does not state its {key}, so that Minari would run its environment: "
+            f"do not load it; see `imujoco verify {dataset_id}`"
+        )
+    try:
+        space: gym.Space[Any] = deserialize_space(text)
+    except Exception as error:  # Minari asserts and raises various errors on odd text
+        raise DatasetError(
+            f"{dataset_id} cannot be loaded: its {key} is malformed: {str(error)[:200]}"
+        ) from None
+    return space
+
+
+def _env_spec(dataset_id: str, metadata: dict[str, Any]) -> EnvSpec | None:
+    text = metadata.get("env_spec")
+    if text is None:
+        return None
+    try:
+        return EnvSpec.from_json(text)
+    except Exception as error:  # as above
+        raise DatasetError(
+            f"{dataset_id} cannot be loaded: its env_spec is malformed: {str(error)[:200]}"
+        ) from None

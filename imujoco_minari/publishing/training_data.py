@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -17,62 +16,64 @@ from imujoco_minari.envs.mjcf import canonical_mjcf
 from imujoco_minari.envs.registration import environment_spec
 from imujoco_minari.policies.references import reference_scores
 from imujoco_minari.policies.tiers import REPLAY
-from imujoco_minari.publishing.collector import FolderCollector
-from imujoco_minari.publishing.publisher import External, Published, publish_episodes
+from imujoco_minari.publishing.collector import StorageCollector
+from imujoco_minari.publishing.publisher import NewDataset, Published, publish_episodes
 from imujoco_minari.storage import file_format
+from imujoco_minari.storage.metadata import provenance
+from imujoco_minari.storage.writer import EpisodeStorage, new_storage
 from imujoco_minari.training.run import OnInterval, Progress, Run, Task
 
 
-class ReplayCollector(FolderCollector):
-    """A collector that forgets an episode cut short, as each interval of a run cuts its last one.
+class WholeEpisodeCollector(StorageCollector):
+    """A collector that forgets an episode cut short, as each interval of a training run cuts its last one.
 
-    Such an episode ends neither by termination nor by the time limit, and no replay would end it there.
+    Such an episode ends neither by termination nor by the time limit, so a replay would not end there.
     """
 
     def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode, and forget the one that has not ended."""
-        self._buffer = None
+        """Begin an episode, and forget the episode that has not ended."""
+        self.forget()
         return super().reset(**kwargs)
 
 
-def record_replay(
+def record_training(
     task: Task, folder: Path, *, force: bool = False, on_interval: OnInterval | None = None
 ) -> Published:
-    """Train a task to its last step and publish all its whole episodes as the variant's tier ``replay``.
+    """Train a task to its last step and publish its whole episodes as the variant's tier ``replay``.
 
-    A recorded run that was killed begins anew: its transitions are kept nowhere else. The policy that it
-    ends with is not installed.
+    A killed run begins anew, since its transitions are stored nowhere else. The policy is not installed.
 
     Args:
         task: what to train.
-        folder: state of the run; what is there is discarded.
+        folder: state of the run; its present content is removed.
         force: replace a dataset that has the id.
         on_interval: called with the run's progress and hyperparameters after every evaluation.
     """
     shutil.rmtree(folder, ignore_errors=True)
-    # The tier holds this variant's transitions, not those of milder ones.
+    folder.mkdir(parents=True)
+    # The tier holds transitions of this variant alone, none of milder variants.
     task = replace(task, settings=replace(task.settings, stones=0))
-    collectors: list[ReplayCollector] = []
-    attributes = file_format.attributes(task.variant, REPLAY)
-    dataset_id = task.variant.dataset_id(REPLAY)
+    storages: list[EpisodeStorage] = []
 
     def record(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-        folder.mkdir(parents=True, exist_ok=True)
-        collectors.append(ReplayCollector(env, folder, attributes))
-        return collectors[0]
+        storages.append(new_storage(folder / "recorded", env, {}))
+        return WholeEpisodeCollector(env, storages[0])
 
     run = Run(task, folder, record)
-    run.train(on_interval)
-    collectors[0]._buffer = None
-    collectors[0].keep(folder / "recorded")
-    external = External(
+    try:
+        run.train(on_interval)
+    finally:
+        run.close()
+    storages[0].flush()
+    dataset_id = task.variant.dataset_id(REPLAY)
+    dataset = NewDataset(
         dataset_id,
-        attributes | {"source": dataset_id},
-        environment_spec(task.variant),
+        file_format.attributes(task.variant, REPLAY) | {"source": dataset_id},
         canonical_mjcf(task.variant),
         _metadata(task, run.progress),
     )
-    published = publish_episodes(external, _episodes(folder / "recorded"), force=force)
+    recorded = _episodes(folder / "recorded")
+    published = publish_episodes(dataset, environment_spec(task.variant), recorded, force=force)
     shutil.rmtree(folder)
     return published
 
@@ -86,16 +87,17 @@ def _episodes(recorded: Path) -> Iterator[EpisodeBuffer]:
 
 
 def _metadata(task: Task, progress: Progress) -> dict[str, Any]:
-    return reference_scores(task.variant) | {
-        "algorithm_name": task.settings.algorithm,
-        "author": {"imujoco_minari"},
-        "code_permalink": f"imujoco-minari=={version('imujoco-minari')}",
-        "description": (
-            f"iMuJoCo, rebuilt: the transitions of a training run of {task.settings.algorithm} on "
-            f"{task.variant}, {progress.steps} steps from {task.start}, in the order of their making; "
-            "episodes that an evaluation cut short are left out."
+    algorithm = task.settings.algorithm
+    return {
+        **reference_scores(task.variant),
+        **provenance(
+            algorithm=algorithm,
+            description=(
+                f"iMuJoCo, rebuilt: the transitions of a training run of {algorithm} on {task.variant}, "
+                f"{progress.steps} steps from {task.start}, in the order in which they were made. "
+                "Episodes that an evaluation cut short are left out."
+            ),
         ),
-        "requirements": [f"{name}=={version(name)}" for name in ("mujoco", "gymnasium")],
         "policy_deterministic": False,
         "seed": task.seed,
         "hyperparameters": task.settings.asdict(),

@@ -21,8 +21,8 @@ from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoErr
 from imujoco_minari.remotes.connecting import connect
 from imujoco_minari.remotes.stores import Store, explained, metadata, sources_of
 from imujoco_minari.storage import copying, file_format, minari_root
+from imujoco_minari.storage.metadata import read_metadata
 from imujoco_minari.verification import Finding, child_process, inspect
-from imujoco_minari.verification.identity import read_metadata
 
 
 @dataclass(frozen=True)

@@ -22,10 +22,14 @@ MAIN_FILE = "main_data.hdf5"
 ARRAYS = ("observations", "actions", "rewards", "terminations", "truncations")
 DIGEST = "sha256"
 FILE_DIGEST, METADATA_DIGEST = "file_sha256", "metadata_sha256"
-# A linked collection has no content of its own: this is the digest of the episodes that it links to.
-LINKED_DIGEST = "linked_sha256"
+# Metadata of a linked collection, which has no content of its own: of each source, in order, the number of
+# episodes and their digest.
+LINKED = "linked"
 # False on imported episodes: they have no seed that would replay them.
 REPLAYABLE = "replayable"
+
+# The attributes that identify an episode. A collection carries those that all its episodes share.
+IDENTITY = ("variant", "robot", "category", "body", "percent", "tier")
 
 
 def attributes(variant: Variant, tier: str) -> dict[str, Any]:
@@ -75,7 +79,7 @@ def seal_episode(group: h5py.Group) -> None:
 
 def stated_digest(metadata: Mapping[str, Any]) -> Any:
     """Return the digest that metadata states of a dataset's episodes, its own or linked; None without one."""
-    return metadata.get("content_sha256") or metadata.get(LINKED_DIGEST)
+    return metadata.get("content_sha256") or metadata.get(LINKED)
 
 
 def content_sha256(file: h5py.File, episodes: int) -> str:
@@ -90,20 +94,6 @@ def content_sha256(file: h5py.File, episodes: int) -> str:
 def dataset_sha256(digests: Iterable[str]) -> str:
     """Return the digest of a dataset from its episodes' digests, in order."""
     return hashlib.sha256("".join(f"{digest}\n" for digest in digests).encode()).hexdigest()
-
-
-def seal_files(data: Path, sha256: str | None = None) -> None:
-    """Write into ``metadata.json`` the digests of both files, the last act before a dataset is committed.
-
-    Args:
-        data: the folder of the dataset's storage.
-        sha256: digest of the HDF5 file, where it was taken as the file was written.
-    """
-    path = data / "metadata.json"
-    metadata = json.loads(path.read_text("utf-8"))
-    metadata[FILE_DIGEST] = sha256 or file_sha256(main_file(data))
-    metadata[METADATA_DIGEST] = metadata_sha256(metadata)
-    path.write_text(json.dumps(metadata), "utf-8")
 
 
 def file_sha256(path: Path) -> str:

@@ -102,8 +102,8 @@ def writing(path: Path, *, new: bool = False) -> Iterator[h5py.File]:
     new = new or path.stat().st_size == 0
     with polite_interrupts(), _QuietFile(path, "w+" if new else "r+") as raw:
         try:
-            # In the oldest version of the format that holds it, of which joining knows each byte.
-            with h5py.File(raw, "w" if new else "r+", libver=("earliest", "latest")) as file:
+            # Minari's own files remember the order in which episodes were added, too.
+            with h5py.File(raw, "w" if new else "r+", track_order=True) as file:
                 yield file
         except Exception:
             # What was not written cannot be read back, and HDF5 may have stumbled over that.

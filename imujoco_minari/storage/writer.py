@@ -9,14 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import h5py
 import numpy as np
 from h5py import h5a, h5d, h5g, h5s, h5t
 from minari.data_collector import EpisodeBuffer
 from minari.data_collector.callbacks import EpisodeMetadataCallback
 from minari.dataset._storages.hdf5_storage import HDF5Storage, flatten_dict
+from minari.dataset.minari_storage import MinariStorage
 from numpy.typing import NDArray
 
 from imujoco_minari.storage import file_format
@@ -80,6 +83,20 @@ class EpisodeStorage(HDF5Storage):  # type: ignore[misc]
                     "dataset_size": self.get_size(),
                 }
             )
+
+
+def new_storage(folder: Path, env: gym.Env[Any, Any], attributes: Mapping[str, Any]) -> EpisodeStorage:
+    """Make an empty storage for the episodes of an environment.
+
+    Args:
+        folder: the storage's new folder; its parent exists.
+        env: the environment; its spaces and its spec go into the metadata.
+        attributes: what every episode carries beside Minari's own attributes.
+    """
+    stock = MinariStorage.new(folder, env.observation_space, env.action_space, env.spec)
+    storage = EpisodeStorage(folder, stock.observation_space, stock.action_space)
+    storage.attributes = attributes
+    return storage
 
 
 def write_episode(

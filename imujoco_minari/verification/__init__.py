@@ -18,10 +18,11 @@ import numpy as np
 from imujoco_minari.errors import DatasetNotFoundError, JobError
 from imujoco_minari.parallel import run_jobs
 from imujoco_minari.storage import file_format, minari_root
+from imujoco_minari.storage.metadata import read_metadata
 from imujoco_minari.verification import child_process, digests
 from imujoco_minari.verification.check import check, unreadable
 from imujoco_minari.verification.findings import MAX_FINDINGS, Checked, Finding, shown
-from imujoco_minari.verification.identity import original_models, read_metadata
+from imujoco_minari.verification.identity import original_models
 from imujoco_minari.verification.replay import replay
 
 __all__ = ["Checked", "Finding", "check", "inspect", "verify"]

@@ -15,6 +15,7 @@ from typing import Any
 import h5py
 
 from imujoco_minari.storage import file_format
+from imujoco_minari.storage.metadata import read_metadata
 from imujoco_minari.variants.original import CATALOGUE, variant_of
 from imujoco_minari.verification import bounded_read, digests, identity, structure
 from imujoco_minari.verification.findings import MAX_FINDINGS, Checked, Finding, same, shown
@@ -100,7 +101,7 @@ def _check(part: Part, data: Path, number: int, count: int) -> None:
     missing = [name for name in ("metadata.json", file_format.MAIN_FILE) if not (data / name).is_file()]
     if missing:
         raise bounded_read.UnreadableError(missing[0], "is missing")
-    metadata = identity.read_metadata(data)
+    metadata = read_metadata(data)
     if not metadata:
         raise bounded_read.UnreadableError("metadata.json", "is no JSON object")
     if number == 0:
@@ -146,7 +147,7 @@ def _check_episode(
 
 def _check_whole(findings: list[Finding], data: Path, parts: Sequence[Part]) -> bool:
     """Add what the whole tells to the findings; return whether the dataset can be replayed."""
-    metadata = identity.read_metadata(data)
+    metadata = read_metadata(data)
     obstacles = []
     totals = {"total_episodes": parts[0].episodes, "total_steps": sum(part.steps for part in parts)}
     for key, value in totals.items():

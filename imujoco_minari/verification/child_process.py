@@ -16,9 +16,9 @@ import time
 from pathlib import Path
 
 from imujoco_minari.storage import file_format
+from imujoco_minari.storage.metadata import read_metadata
 from imujoco_minari.verification.check import Part, merge
 from imujoco_minari.verification.findings import Checked, Finding
-from imujoco_minari.verification.identity import read_metadata
 
 MAX_MEMORY_BYTES = 2**33
 # What the slowest disk worth the name needs, beside a start on a busy machine.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -58,9 +59,38 @@ def whole(
         metadata: what its ``metadata.json`` says.
         linked: it is a linked collection.
     """
-    key = file_format.LINKED_DIGEST if linked else "content_sha256"
-    cause = ": a dataset that it links to was replaced" if linked else ""
+    if linked:
+        yield from _linked(episodes, metadata)
+        return
     digest = file_format.dataset_sha256(episodes)
-    for where, stated in ((f"@{key}", root.get(key)), (f"metadata.json/{key}", metadata.get(key))):
+    for where, stated in (
+        ("@content_sha256", root.get("content_sha256")),
+        ("metadata.json/content_sha256", metadata.get("content_sha256")),
+    ):
         if not isinstance(stated, str) or stated != digest:
-            yield Finding(where, f"is {shown(stated)}, but the content's is {digest}{cause}")
+            yield Finding(where, f"is {shown(stated)}, but the content's is {digest}")
+
+
+def _linked(episodes: Sequence[str], metadata: Mapping[str, Any]) -> Iterator[Finding]:
+    """Report sources of a linked collection that were replaced since it was made."""
+    where = f"metadata.json/{file_format.LINKED}"
+    stated = metadata.get(file_format.LINKED)
+    if stated is None and "content_sha256" not in metadata:
+        # Collections made by the first version do not state it.
+        return
+    try:
+        counts, digests = (
+            [int(count) for count, _ in stated or []],
+            [str(digest) for _, digest in stated or []],
+        )
+    except (TypeError, ValueError):
+        counts, digests = [], []
+    if sum(counts) != len(episodes) or min(counts, default=0) < 0:
+        yield Finding(where, f"is {shown(stated)}, which does not describe {len(episodes)} episodes")
+        return
+    ends = list(accumulate(counts))
+    names = metadata.get("combined_datasets")
+    for number, (start, end, digest) in enumerate(zip([0, *ends], ends, digests, strict=False)):
+        if file_format.dataset_sha256(episodes[start:end]) != digest:
+            source = names[number] if isinstance(names, list) and number < len(names) else number
+            yield Finding(where, f"{shown(source)} was replaced since the collection linked to it")

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from imujoco_minari.envs.registration import collection_spec, environment_spec
@@ -28,22 +27,8 @@ from imujoco_minari.verification.bounded_read import Episode
 from imujoco_minari.verification.findings import Finding, plain, same, shown
 from imujoco_minari.verification.replay import simulator
 
-MAX_METADATA_BYTES = 2**24
-
 _ENTRY_POINTS = ("imujoco_minari.envs:", "imujoco_minari.importing.environments:")
 _SPACES = ("observation_space", "action_space")
-
-
-def read_metadata(data: Path) -> dict[str, Any]:
-    """Return what a dataset's ``metadata.json`` holds; empty when it is no JSON object of sane size."""
-    path = data / "metadata.json"
-    try:
-        if path.stat().st_size > MAX_METADATA_BYTES:
-            return {}
-        metadata = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return {}
-    return metadata if isinstance(metadata, dict) else {}
 
 
 def loadable(metadata: Mapping[str, Any]) -> Iterator[Finding]:

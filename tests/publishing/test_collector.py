@@ -16,9 +16,9 @@ from minari.dataset.minari_storage import MinariStorage
 from imujoco_minari.envs.registration import make
 from imujoco_minari.policies import LANES, SIZES, Actor, RandomPolicy
 from imujoco_minari.policies.rollouts import episode_seed, roll_out
-from imujoco_minari.publishing.collector import FolderCollector, collect
+from imujoco_minari.publishing.collector import StorageCollector, collect
 from imujoco_minari.storage import file_format
-from imujoco_minari.storage.writer import EpisodeStorage
+from imujoco_minari.storage.writer import EpisodeStorage, new_storage
 from imujoco_minari.variants import Variant
 
 ROBOTS = ("hopper", "halfcheetah", "walker2d")
@@ -66,13 +66,19 @@ def short(robot, steps=40):
     return gym.wrappers.TimeLimit(make(f"{robot}-base").unwrapped, steps)
 
 
+def collector_in(folder, env):
+    """Return a collector whose storage is the new folder."""
+    return StorageCollector(env, new_storage(folder, env, {}))
+
+
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_records_what_the_stock_collector_records(robot, tmp_path, stock_warnings):
     policy = RandomPolicy(SIZES[robot][1])
-    collector = FolderCollector(short(robot), tmp_path)
+    collector = collector_in(tmp_path / "ours", short(robot))
     for episode in range(3):
         roll_out(collector, policy, episode_seed(5, episode))
-    collector.keep(tmp_path / "ours")
+    collector.close()
+    collector._storage.flush()
 
     stock = minari.DataCollector(short(robot))
     for episode in range(3):
@@ -98,25 +104,14 @@ def test_an_interrupted_episode_and_options_are_stored_as_the_stock_collector_do
         for _ in range(42):
             collector.step(actions.uniform(-1, 1, 6).astype(np.float32))
 
-    ours = FolderCollector(short("halfcheetah"), tmp_path)
+    ours = collector_in(tmp_path / "ours", short("halfcheetah"))
     record(ours)
-    ours.keep(tmp_path / "ours")
+    ours._flush_to_storage()
+    ours._storage.flush()
     stock = minari.DataCollector(short("halfcheetah"))
     record(stock)
     dataset = stock.create_dataset("test/stock-v0")
     assert_same_but_digests(stored(tmp_path / "ours"), stored(dataset.storage.data_path))
-
-
-def test_the_stock_ways_of_making_a_dataset_still_work(tmp_path, stock_warnings):
-    collector = FolderCollector(short("hopper"), tmp_path)
-    roll_out(collector, RandomPolicy(3), 1)
-    dataset = collector.create_dataset("test/mine-v0")
-    assert dataset.total_episodes == 1
-    assert dataset[0].rewards.sum() == next(dataset.storage.get_episode_metadata([0]))["rewards_sum"]
-    roll_out(collector, RandomPolicy(3), 2)
-    collector.add_to_dataset(dataset)
-    assert minari.load_dataset("test/mine-v0").total_episodes == 2
-    collector.close()
 
 
 def test_warns_of_what_lies_outside_its_space_as_the_stock_collector_does(tmp_path, stock_warnings):
@@ -132,7 +127,7 @@ def test_warns_of_what_lies_outside_its_space_as_the_stock_collector_does(tmp_pa
             finish()
         return [str(warning.message) for warning in caught if "space" in str(warning.message)]
 
-    ours = FolderCollector(short("halfcheetah"), tmp_path)
+    ours = collector_in(tmp_path / "ours", short("halfcheetah"))
     stock = minari.DataCollector(short("halfcheetah"))
     expected = messages(stock, stock._flush_to_storage)
     assert len(expected) == 2
@@ -201,7 +196,7 @@ def test_an_observation_gives_the_same_action_in_whatever_company():
 
 
 def test_a_storage_counts_what_it_has_not_yet_written(tmp_path):
-    collector = FolderCollector(short("hopper"), tmp_path)
+    collector = collector_in(tmp_path / "ours", short("hopper"))
     assert isinstance(collector._storage, EpisodeStorage)
     _, length = roll_out(collector, RandomPolicy(3), 1)
     assert collector._storage.total_episodes == 1

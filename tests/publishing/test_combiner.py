@@ -245,4 +245,4 @@ def test_verify_finds_a_linked_source_that_was_replaced(monkeypatch):
     assert verify(NEW, replay=False) == verify("imujoco/further-v0", replay=False) == []
     publish("halfcheetah-base", tier="random", episodes=1, seed=1, force=True)
     for name in (NEW, "imujoco/further-v0"):
-        assert "a dataset that it links to was replaced" in str(verify(name)[0])
+        assert "was replaced since the collection linked to it" in str(verify(name)[0])

@@ -142,10 +142,41 @@ def test_the_content_does_not_depend_on_the_number_of_jobs_nor_on_the_time(
 def test_what_is_there_is_left_alone(dataset: minari.MinariDataset, actor: Path) -> None:
     file = dataset.storage.data_path / "main_data.hdf5"
     before = (file.stat().st_ino, file.stat().st_mtime_ns)
-    outcome = publish("hopper-massdec_25_leggeom", tier="mine", policy=actor, episodes=2)
+    recipe = {"tier": "mine", "policy": actor, "episodes": 6, "seed": 3}
+    outcome = publish("hopper-massdec_25_leggeom", **recipe)
     assert not outcome.created
     assert outcome.episodes == 6
     assert (file.stat().st_ino, file.stat().st_mtime_ns) == before
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"episodes": 100}, "it has 6 episodes; you asked for 100 episodes"),
+        ({"seed": 0}, "it has seed 3; you asked for seed 0"),
+        ({"stochastic": True}, "it has deterministic actions; you asked for sampled actions"),
+        ({"episodes": 7, "seed": 4}, "it has 6 episodes, seed 3; you asked for 7 episodes, seed 4"),
+    ],
+)
+def test_another_recipe_of_the_same_id_is_an_error_that_names_the_difference(
+    dataset: minari.MinariDataset, actor: Path, change: dict[str, Any], told: str
+) -> None:
+    file = dataset.storage.data_path / "main_data.hdf5"
+    before = (file.stat().st_ino, file.stat().st_mtime_ns)
+    recipe = {"tier": "mine", "policy": actor, "episodes": 6, "seed": 3} | change
+    with pytest.raises(DatasetExistsError, match=told) as raised:
+        publish("hopper-massdec_25_leggeom", **recipe)
+    assert "--force" in str(raised.value)
+    assert "\n" not in str(raised.value)
+    assert (file.stat().st_ino, file.stat().st_mtime_ns) == before
+
+
+def test_another_policy_of_the_same_id_is_an_error(dataset: minari.MinariDataset, tmp_path: Path) -> None:
+    other = tmp_path / "other.safetensors"
+    save_file(dict(random_actor(activation="ReLU", widths=(8,)).weights), other)
+    (outcome,) = publish_all([Recipe(Variant.parse("hopper-massdec_25_leggeom"), "mine", 6, 3, other)])
+    assert "it has policy " in outcome.error
+    assert not outcome.created
 
 
 def test_many_are_published_and_a_failure_among_them_is_told(root: Path, actor: Path) -> None:

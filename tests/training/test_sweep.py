@@ -20,7 +20,7 @@ from imujoco_minari.errors import CatalogueError, PolicyError, PolicyNotFoundErr
 from imujoco_minari.policies import expert_actor, expert_record, expert_variants, policies_folder
 from imujoco_minari.policies.rollouts import Evaluation, evaluate
 from imujoco_minari.publishing.publisher import publish
-from imujoco_minari.publishing.training_data import record_replay
+from imujoco_minari.publishing.training_data import record_training
 from imujoco_minari.training import sweep
 from imujoco_minari.training.agents import (
     actor_of,
@@ -182,7 +182,7 @@ def test_a_whole_robot_gets_a_generalist_to_start_from(
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_a_recorded_run_publishes_its_whole_episodes(tmp_path: Path) -> None:
     task = Task(LIGHT_LEG, hyperparameters("hopper", SCRATCH, **TINY))
-    published = record_replay(task, tmp_path / "run")
+    published = record_training(task, tmp_path / "run")
     dataset = minari.load_dataset(published.dataset_id)
     assert published.dataset_id == "imujoco/hopper-massdec_25_leggeom-replay-v0"
     # Three of four intervals cut an episode short; none of those is there.
