@@ -111,6 +111,7 @@ def open_source(dataset: MinariDataset | str) -> Source:
     metadata = read_metadata(data)
     if metadata.get("data_format", "hdf5") != "hdf5":
         raise DatasetError(f"{dataset_id} is stored as {metadata['data_format']}; valid: hdf5")
+    spaces = [_space(dataset_id, metadata, key) for key in ("observation_space", "action_space")]
     total = metadata.get("total_episodes")
     if not isinstance(total, int):
         raise DatasetError(
@@ -122,8 +123,8 @@ def open_source(dataset: MinariDataset | str) -> Source:
         folder=folder,
         metadata=metadata,
         episodes=range(total) if chosen is None else chosen,
-        observation_space=_space(dataset_id, metadata, "observation_space"),
-        action_space=_space(dataset_id, metadata, "action_space"),
+        observation_space=spaces[0],
+        action_space=spaces[1],
         env_spec=_env_spec(dataset_id, metadata),
     )
 

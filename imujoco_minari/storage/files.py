@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from imujoco_minari.errors import StorageError
 
@@ -40,3 +42,12 @@ def write_text(path: Path, text: str) -> None:
     """
     with whole_file(path) as partial:
         partial.write_text(text, "utf-8")
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write a value as JSON, whole.
+
+    Raises:
+        StorageError: when the place cannot be written.
+    """
+    write_text(path, json.dumps(value, indent=1) + "\n")

@@ -16,6 +16,7 @@ from safetensors.numpy import load_file, save
 
 from imujoco_minari.errors import PolicyError, TrainingError, missing_dependency
 from imujoco_minari.policies import Actor, Array, policies_folder
+from imujoco_minari.storage.files import whole_file
 from imujoco_minari.training.hyperparameters import Hyperparameters
 
 _LAYERS = {
@@ -133,12 +134,10 @@ def restore_agent(agent: Any, arrays: dict[str, Array]) -> None:
 
 def save_arrays(path: Path, arrays: dict[str, Array]) -> None:
     """Write arrays as safetensors, so that at every moment ``path`` holds the old ones or the new."""
-    partial = path.with_name(f".{path.name}.partial")
     # ascontiguousarray makes a vector of a scalar, and save_file a file that others cannot read.
-    partial.write_bytes(
-        save({name: np.ascontiguousarray(array).reshape(array.shape) for name, array in arrays.items()})
-    )
-    partial.replace(path)
+    contiguous = {name: np.ascontiguousarray(array).reshape(array.shape) for name, array in arrays.items()}
+    with whole_file(path) as partial:
+        partial.write_bytes(save(contiguous))
 
 
 def load_arrays(path: Path) -> dict[str, Array]:

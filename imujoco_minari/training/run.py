@@ -322,10 +322,3 @@ def load_progress(folder: Path) -> Progress:
 
 def _below(prefix: str, arrays: dict[str, Array]) -> dict[str, Array]:
     return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
-
-
-def write_json(path: Path, value: Any) -> None:
-    """Write JSON so that at every moment ``path`` holds the old value or the new."""
-    partial = path.with_name(f".{path.name}.partial")
-    partial.write_text(json.dumps(value, indent=1) + "\n", "utf-8")
-    partial.replace(path)

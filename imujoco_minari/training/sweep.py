@@ -19,6 +19,7 @@ from typing import Any
 from imujoco_minari.errors import ImujocoError, JobError, TrainingError
 from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies import expert_record, policies_folder
+from imujoco_minari.storage.files import write_json
 from imujoco_minari.training.agents import load_arrays, save_arrays
 from imujoco_minari.training.hyperparameters import (
     FAR,
@@ -30,7 +31,7 @@ from imujoco_minari.training.hyperparameters import (
     hyperparameters,
 )
 from imujoco_minari.training.ladder import keep_rungs, measure_ladder, rungs_of
-from imujoco_minari.training.run import OnInterval, Run, Task, load_progress, write_json
+from imujoco_minari.training.run import OnInterval, Run, Task, load_progress
 from imujoco_minari.training.starts import base_start, best_start, generalist_name, generalist_record
 from imujoco_minari.variants import BASE, Variant, catalogue
 

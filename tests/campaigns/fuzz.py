@@ -23,9 +23,10 @@ with atheris.instrument_imports(include=["imujoco_minari"]):
     from imujoco_minari.policies import read_actor
     from imujoco_minari.policies.torch_file import TorchFile
     from imujoco_minari.storage import minari_root
+    from imujoco_minari.storage.metadata import read_metadata
     from imujoco_minari.variants import Variant, parse_dataset_id, parse_specification
     from imujoco_minari.variants.original import OriginalVariant
-    from imujoco_minari.verification.identity import loadable, read_metadata
+    from imujoco_minari.verification.identity import loadable
 
 FOLDER = Path(tempfile.mkdtemp())
 

@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import h5py
@@ -18,7 +19,7 @@ from safetensors.numpy import save_file
 
 import imujoco_minari
 from imujoco_minari.envs.mjcf import canonical_mjcf
-from imujoco_minari.errors import DatasetError, PolicyNotFoundError
+from imujoco_minari.errors import DatasetError, DatasetExistsError, PolicyNotFoundError
 from imujoco_minari.publishing.publisher import publish, publish_all
 from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.variants import Variant, catalogue

@@ -17,6 +17,7 @@ from imujoco_minari.errors import DatasetError, DatasetNotFoundError
 from imujoco_minari.publishing.combiner import combine_datasets
 from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.storage import file_format, minari_root
+from imujoco_minari.storage.metadata import complete_metadata
 from imujoco_minari.verification import child_process, inspect, verify
 
 ID = "imujoco/hopper-base-random-v0"
@@ -61,7 +62,7 @@ def rewrite(data: Path, **changes: Any) -> None:
     path = data / "metadata.json"
     metadata = json.loads(path.read_text()) | changes
     path.write_text(json.dumps({key: value for key, value in metadata.items() if value is not ...}))
-    file_format.seal_files(data)
+    complete_metadata(data, {})
 
 
 def found(data: Path, **options: Any) -> str:
@@ -326,11 +327,11 @@ class TestTampering:
         damage, finding = TAMPERED[kind]
         with h5py.File(file_format.main_file(data), "a") as file:
             damage(file)
-        file_format.seal_files(data)
+        complete_metadata(data, {})
         try:
             reseal(data)
         except Exception:  # what cannot be sealed is found all the same
-            file_format.seal_files(data)
+            complete_metadata(data, {})
         assert finding in found(data)
 
     @pytest.mark.parametrize(
@@ -419,7 +420,7 @@ class TestLinkedCollections:
         with h5py.File(file_format.main_file(linked), "a") as file:
             del file["episode_0"]
             file["episode_0"] = h5py.ExternalLink(target, "episode_0")
-        file_format.seal_files(linked)
+        complete_metadata(linked, {})
         assert "is no dataset of the Minari root" in found(linked)
 
     def test_links_in_a_circle(self, linked: Path, root: Path) -> None:

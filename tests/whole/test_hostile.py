@@ -26,9 +26,10 @@ from imujoco_minari.policies import read_actor
 from imujoco_minari.policies.torch_file import TorchFile
 from imujoco_minari.publishing.combiner import combine_datasets
 from imujoco_minari.storage import minari_root
+from imujoco_minari.storage.metadata import read_metadata
 from imujoco_minari.variants import Variant, parse_dataset_id, parse_specification
 from imujoco_minari.verification import inspect
-from imujoco_minari.verification.identity import loadable, read_metadata
+from imujoco_minari.verification.identity import loadable
 
 # A test's folder serves all its examples, which write one file after the other.
 several = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
