@@ -7,9 +7,7 @@ what a dead one left from what a living one is at. docs/promises.md says what us
 
 from __future__ import annotations
 
-import ctypes
 import errno
-import fcntl
 import json
 import os
 import re
@@ -20,6 +18,15 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError, StorageError
+from imujoco_minari.storage.atomic import (
+    UNSUPPORTED,
+    exchange,
+    rename_new,
+    sync_folder,
+    sync_tree,
+    try_lock,
+    write_synced_json,
+)
 
 STAGING = ".imujoco-staging"
 NAMESPACE_FILE = "namespace_metadata.json"
@@ -29,20 +36,18 @@ _REPLACEMENT, _OLD = "replacement.json", "replaced"
 # Minari's grammar of ids, without the leading dots, double slashes and ".." that could leave the root.
 _DATASET_ID = re.compile(r"(?:[A-Za-z0-9_][-\w]*/)+[A-Za-z0-9_][-\w]*-v[0-9]{1,6}", re.ASCII)
 _HDF5_REASON = re.compile(r"error message = '([^']{1,200})'")
-_AT_FDCWD, _RENAME_EXCHANGE = -100, 2
-# What a system or a file system answers that does not have a call.
-_UNSUPPORTED = frozenset({errno.ENOSYS, errno.EINVAL, errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOLCK})
 
 
 def datasets_root() -> Path:
-    """Return Minari's root: ``MINARI_DATASETS_PATH``, or ``~/.minari/datasets``; it need not exist.
+    """Return Minari's root, absolute: ``MINARI_DATASETS_PATH``, or ``~/.minari/datasets``; it need not exist.
 
     Raises:
         StorageError: when there is no home directory to put it in.
     """
     path = os.environ.get("MINARI_DATASETS_PATH")
     if path:
-        return Path(path)
+        # Minari itself doubles a relative path when it sums up a dataset's size.
+        return Path(path).absolute()
     try:
         return Path.home() / ".minari" / "datasets"
     except RuntimeError:
@@ -118,7 +123,7 @@ def staging(*dataset_ids: str) -> Iterator[Path]:
     """
     root = datasets_root() / STAGING
     with failures_named(root.parent):
-        root.mkdir(parents=True, exist_ok=True)
+        _make_staging_root(root)
         for dataset_id in dataset_ids:
             check_place(dataset_folder(dataset_id))
         try:
@@ -127,6 +132,14 @@ def staging(*dataset_ids: str) -> Iterator[Path]:
         finally:
             with suppress(OSError):
                 root.rmdir()
+
+
+def _make_staging_root(root: Path) -> None:
+    """Make the folder of all staging folders, in which every user of a shared root may make one."""
+    root.mkdir(parents=True, exist_ok=True)
+    with suppress(OSError):
+        # As /tmp: each removes only what is its own. Another user's folder keeps the mode that it has.
+        root.chmod(0o1777)
 
 
 @contextmanager
@@ -171,30 +184,21 @@ def check_place(target: Path) -> None:
 def _locked_folder(root: Path, prefix: str) -> tuple[Path, int]:
     """Make a folder in ``root`` and lock it; return it and the lock's descriptor."""
     while True:
+        if root.name == STAGING:
+            _make_staging_root(root)
         root.mkdir(parents=True, exist_ok=True)
         # Between any two of these calls another process may tidy away what looks abandoned.
         with suppress(FileNotFoundError, BlockingIOError):
             folder = Path(tempfile.mkdtemp(dir=root, prefix=prefix))
             lock = os.open(folder / _LOCK, os.O_CREAT | os.O_RDWR)
             try:
-                _lock(lock)
+                try_lock(lock)
                 if (folder / _LOCK).stat().st_ino == os.fstat(lock).st_ino:
                     return folder, lock
             except BaseException:
                 os.close(lock)
                 raise
             os.close(lock)
-
-
-def _lock(descriptor: int) -> bool:
-    """Lock a file, or raise BlockingIOError; return False where the file system has no locks."""
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        if error.errno in _UNSUPPORTED:
-            return False
-        raise
-    return True
 
 
 def tidy() -> None:
@@ -221,7 +225,7 @@ def _tidy(parent: Path, prefix: str = "") -> None:
         except OSError:
             continue
         try:
-            dead = _lock(lock)
+            dead = try_lock(lock)
         except OSError:
             dead = False
         if not dead:
@@ -257,10 +261,10 @@ def commit(staged: Path, dataset_id: str, *, replace: bool = False) -> Path:
     target = dataset_folder(dataset_id)
     with failures_named(target):
         check_place(target)
-        _sync(staged)
+        sync_tree(staged)
         make_namespace(dataset_id.rpartition("/")[0])
         try:
-            _rename_new(staged, target)
+            rename_new(staged, target)
         except FileExistsError:
             if not replace:
                 raise DatasetExistsError(
@@ -273,7 +277,7 @@ def commit(staged: Path, dataset_id: str, *, replace: bool = False) -> Path:
                 ) from None
             if not exchange(staged, target):
                 _replace_in_two_steps(staged, target, dataset_id)
-        _sync_folder(target.parent)
+        sync_folder(target.parent)
     return target
 
 
@@ -291,50 +295,16 @@ def make_namespace(namespace: str, description: str = "") -> None:
             continue
         with staging() as temporary:
             file = temporary / NAMESPACE_FILE
-            _write_json(file, {"description": description} if description else {})
+            write_synced_json(file, {"description": description} if description else {})
             try:
                 # A link fails where a rename would overwrite what another process has just written.
                 (folder / NAMESPACE_FILE).hardlink_to(file)
             except FileExistsError:
                 pass
             except OSError as error:
-                if error.errno not in {*_UNSUPPORTED, errno.EPERM}:
+                if error.errno not in {*UNSUPPORTED, errno.EPERM}:
                     raise
                 file.rename(folder / NAMESPACE_FILE)
-
-
-def _write_json(path: Path, value: object) -> None:
-    with path.open("x", encoding="utf-8") as file:
-        json.dump(value, file)
-        file.flush()
-        os.fsync(file.fileno())
-
-
-def _rename_new(source: Path, target: Path) -> None:
-    """Rename a folder to a name that is free; raise FileExistsError when it is not."""
-    try:
-        source.rename(target)
-    except OSError as error:
-        if error.errno in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
-            raise FileExistsError(error.errno, os.strerror(error.errno), str(target)) from None
-        raise
-
-
-def exchange(source: Path, target: Path) -> bool:
-    """Swap two folders in one step, so that at every moment ``target`` is the old or the new one.
-
-    Returns:
-        Whether it was done: False where the system or the file system cannot, and nothing has changed.
-    """
-    libc = ctypes.CDLL(None, use_errno=True)
-    if not hasattr(libc, "renameat2"):
-        return False
-    if libc.renameat2(_AT_FDCWD, os.fsencode(source), _AT_FDCWD, os.fsencode(target), _RENAME_EXCHANGE) == 0:
-        return True
-    code = ctypes.get_errno()
-    if code in _UNSUPPORTED:
-        return False
-    raise OSError(code, os.strerror(code), str(target))
 
 
 def _replace_in_two_steps(staged: Path, target: Path, dataset_id: str) -> None:
@@ -343,8 +313,8 @@ def _replace_in_two_steps(staged: Path, target: Path, dataset_id: str) -> None:
     A note in the staging folder says what is going on; who finds it in a dead one finishes the work.
     """
     folder = staged.parent
-    _write_json(folder / _REPLACEMENT, {"dataset_id": dataset_id, "staged": staged.name})
-    _sync_folder(folder)
+    write_synced_json(folder / _REPLACEMENT, {"dataset_id": dataset_id, "staged": staged.name})
+    sync_folder(folder)
     target.rename(folder / _OLD)
     staged.rename(target)
 
@@ -362,33 +332,8 @@ def _finish_replacement(folder: Path) -> bool:
         target = dataset_folder(note["dataset_id"])
         for candidate in (folder / Path(note["staged"]).name, folder / _OLD):
             with suppress(OSError):
-                _rename_new(candidate, target)
-                _sync_folder(target.parent)
+                rename_new(candidate, target)
+                sync_folder(target.parent)
         return target.exists()
     except (OSError, ValueError, KeyError, TypeError):
         return False
-
-
-def _sync(folder: Path) -> None:
-    """Force a staged dataset to the disk: a rename must not overtake what it names."""
-    for parent, _, names in os.walk(folder):
-        for name in names:
-            sync_file(Path(parent) / name)
-        _sync_folder(Path(parent))
-
-
-def sync_file(path: Path) -> None:
-    """Wait until what was written to a file is on the disk."""
-    with path.open("rb") as file:
-        os.fsync(file.fileno())
-
-
-def _sync_folder(folder: Path) -> None:
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    except OSError as error:
-        if error.errno not in _UNSUPPORTED:
-            raise
-    finally:
-        os.close(handle)

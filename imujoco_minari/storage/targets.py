@@ -16,6 +16,7 @@ import h5py
 
 from imujoco_minari.errors import DatasetExistsError, StorageError
 from imujoco_minari.storage import minari_root
+from imujoco_minari.storage.atomic import exchange
 from imujoco_minari.storage.quiet_file import writing
 
 _PREFIX = ".imujoco-export-"
@@ -101,7 +102,7 @@ def _put(new: Path, target: Path) -> None:
     """Give ``new`` the name of ``target``; what has it now goes into the folder that ``new`` was in."""
     if not target.exists() or not (target.is_dir() or new.is_dir()):
         new.replace(target)
-    elif not minari_root.exchange(new, target):
+    elif not exchange(new, target):
         # Where a system cannot swap folders, the old one comes back if the new one does not get in.
         old = new.with_name(".old")
         target.rename(old)

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from minari import namespace
 
 from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError, StorageError
+from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.storage import minari_root
 
 ID = "imujoco/hopper-base-v0"
@@ -336,3 +337,36 @@ def test_a_staging_folder_that_goes_while_it_is_looked_at_is_made_again(root, mo
     monkeypatch.setattr(Path, "glob", gone)
     with minari_root.staging() as folder:
         assert folder.is_dir()
+
+
+@pytest.mark.parametrize(("umask", "folders", "files"), [(0o022, 0o755, 0o644), (0o027, 0o750, 0o640)])
+def test_a_published_dataset_has_the_modes_that_the_umask_says(
+    root: Path, umask: int, folders: int, files: int
+) -> None:
+    before = os.umask(umask)
+    try:
+        publish("hopper-base", tier="random", episodes=4, jobs=1)
+        if umask == 0o022:
+            # Worker processes keep the umask that they were started with, also for a later test.
+            publish("hopper-massdec_25_leggeom", tier="random", episodes=4, jobs=2)
+    finally:
+        os.umask(before)
+    made = list(root.rglob("*"))
+    assert {path.stat().st_mode & 0o7777 for path in made if path.is_dir()} == {folders}
+    assert {path.stat().st_mode & 0o7777 for path in made if path.is_file()} == {files}
+
+
+def test_every_user_of_a_shared_root_may_stage(root: Path) -> None:
+    with minari_root.staging("imujoco/x-v0") as folder:
+        assert folder.parent.stat().st_mode & 0o7777 == 0o1777
+        assert folder.stat().st_mode & 0o7777 == 0o700
+    assert not folder.parent.exists()
+
+
+def test_a_relative_root_is_made_absolute_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MINARI_DATASETS_PATH", "here/datasets")
+    published = publish("hopper-base", tier="random", episodes=2)
+    assert published.path == tmp_path / "here" / "datasets" / "imujoco" / "hopper-base-random-v0"
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "here" / "datasets"))
+    assert minari.load_dataset("imujoco/hopper-base-random-v0").total_episodes == 2

@@ -23,6 +23,7 @@ from typing import Any
 import minari
 import pytest
 
+from imujoco_minari.cli.app import run
 from imujoco_minari.errors import ImujocoError, StorageError
 from imujoco_minari.publishing.combiner import combine_datasets
 from imujoco_minari.publishing.publisher import publish
@@ -146,7 +147,7 @@ def test_the_same_disk_in_order_gives_no_error() -> None:
     assert listed() == {ID: "new"}
 
 
-@pytest.mark.parametrize("step", ["record_shares", "_complete", "inspect"])
+@pytest.mark.parametrize("step", ["record_shares", "complete_metadata", "inspect"])
 def test_a_full_disk_while_publishing(step: str, root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fill(*args: Any, **kwargs: Any) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -186,8 +187,8 @@ def test_a_small_disk(root: Path) -> None:
 
 
 KILLED_AT = {
-    "rolling out": "imujoco_minari.publishing.publisher._complete",
-    "before the rename": "imujoco_minari.storage.minari_root._rename_new",
+    "rolling out": "imujoco_minari.publishing.publisher.complete_metadata",
+    "before the rename": "imujoco_minari.storage.minari_root.rename_new",
     "after the rename": "imujoco_minari.publishing.publisher._summary",
 }
 
@@ -221,12 +222,12 @@ def test_force_that_fails_leaves_the_old_one(root: Path, monkeypatch: pytest.Mon
         publish("hopper-base", tier="random", episodes=2, force=True)
     monkeypatch.undo()
     os.environ["MINARI_DATASETS_PATH"] = str(root)
-    kept = publish("hopper-base", tier="random", episodes=2)
+    kept = publish("hopper-base", tier="random", episodes=1)
     assert (kept.created, kept.content_sha256) == (False, old.content_sha256)
 
 
 def test_a_source_that_is_replaced_while_it_is_combined(monkeypatch: pytest.MonkeyPatch) -> None:
-    from imujoco_minari.publishing.publisher import combiner
+    from imujoco_minari.publishing import combiner
 
     publish("hopper-base", tier="random", episodes=2)
     check = combiner.check_sources
@@ -239,3 +240,26 @@ def test_a_source_that_is_replaced_while_it_is_combined(monkeypatch: pytest.Monk
     with pytest.raises(ImujocoError, match="replaced while it was read"):
         combine_datasets([RANDOM_ID], "imujoco/hopper-new-v0")
     assert set(minari.list_local_datasets()) == {RANDOM_ID}
+
+
+def test_a_source_that_is_deleted_while_it_is_combined(
+    root: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from imujoco_minari.publishing import combiner
+
+    publish("hopper-base", tier="random", episodes=2)
+    check = combiner.check_sources
+
+    def delete_then_check(sources: Any) -> None:
+        minari.delete_dataset(RANDOM_ID)
+        check(sources)
+
+    monkeypatch.setattr(combiner, "check_sources", delete_then_check)
+    for options in ([], ["--link"]):
+        if not (root / RANDOM_ID).exists():
+            publish("hopper-base", tier="random", episodes=2)
+        assert run(["combine", RANDOM_ID, "--id", "imujoco/hopper-new-v0", *options]) == 1
+        told = capsys.readouterr().err
+        assert f"{RANDOM_ID} was deleted while it was read" in told
+        assert len(told.splitlines()) == 1
+    assert minari.list_local_datasets() == {}
