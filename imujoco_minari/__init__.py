@@ -16,7 +16,7 @@ from imujoco_minari.variants import Variant, bases, catalogue
 if TYPE_CHECKING:
     from imujoco_minari.envs.mjcf import canonical_mjcf
     from imujoco_minari.exporting import export
-    from imujoco_minari.loading.sampling import Sampler
+    from imujoco_minari.loading import Sampler
     from imujoco_minari.policies import load_policy
     from imujoco_minari.publishing.combiner import combine_datasets
     from imujoco_minari.publishing.publisher import publish
@@ -42,7 +42,7 @@ __all__ = [
 ]
 
 _LAZY = {
-    "Sampler": "loading.sampling",
+    "Sampler": "loading",
     "canonical_mjcf": "envs.mjcf",
     "combine_datasets": "publishing.combiner",
     "export": "exporting",

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from imujoco_minari.loading.load import Arrays
+from imujoco_minari.loading import Arrays
 from imujoco_minari.storage.quiet_file import writing
 
 

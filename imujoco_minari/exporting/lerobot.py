@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imujoco_minari.errors import missing_dependency
-from imujoco_minari.loading.load import Arrays
+from imujoco_minari.loading import Arrays
 
 VERSION = "v3.0"
 # Environment steps a second: MuJoCo's time step times Gymnasium's frame skip.

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from imujoco_minari.exporting.tfrecord import example, record
-from imujoco_minari.loading.load import Arrays, Trajectory
-from imujoco_minari.loading.selection import ATTRIBUTES, Origin
+from imujoco_minari.loading import ATTRIBUTES, Arrays, Origin, Trajectory
 
 VERSION = "1.0.0"
 # A file that grows beyond this (bytes) is the last but one.

@@ -17,7 +17,7 @@ from imujoco_minari.cli.app import run
 from imujoco_minari.errors import DatasetError, DatasetExistsError, DependencyError, StorageError
 from imujoco_minari.exporting import FORMATS, default_target, export, lerobot, rlds
 from imujoco_minari.exporting.tfrecord import crc32c, example, record
-from imujoco_minari.loading.load import Arrays, arrays
+from imujoco_minari.loading import Arrays, arrays
 from imujoco_minari.storage.targets import new_target
 
 

@@ -1,13 +1,10 @@
-"""Splits: held-out variants that partition the catalogue, shots that partition a variant's episodes."""
+"""Splits: named sets of held-out variants."""
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
-from synthetic_arrays import BASE, LEG, synthetic
 
-from imujoco_minari.errors import CatalogueError, DatasetError, VariantError
-from imujoco_minari.loading.sampling import few_shot
+from imujoco_minari.errors import CatalogueError, VariantError
 from imujoco_minari.variants import CATEGORIES, ROBOTS, Variant, catalogue
 from imujoco_minari.variants.splits import held_out, held_out_names, parse_splits
 
@@ -87,38 +84,3 @@ def test_an_unknown_split_gets_the_nearest() -> None:
 def test_a_faulty_file_of_splits_is_named(text: str, message: str) -> None:
     with pytest.raises(CatalogueError, match=f"^bad.toml.*{message}"):
         parse_splits(text, "bad.toml")
-
-
-def episodes(data: object) -> set[float]:
-    return set(data.observations[:, 0].tolist())  # type: ignore[attr-defined]
-
-
-def test_support_and_query_partition_every_variant() -> None:
-    data = synthetic([3] * 12, [BASE, LEG] * 6)
-    support, query = few_shot(data, shots=2)
-    np.testing.assert_array_equal(np.bincount(support.episode_variants), [2, 2])
-    np.testing.assert_array_equal(np.bincount(query.episode_variants), [4, 4])
-    assert not episodes(support) & episodes(query)
-    assert few_shot(data, shots=2, queries=3).query.episodes == 6
-
-
-def test_the_shots_of_a_variant_do_not_depend_on_the_others() -> None:
-    both = few_shot(synthetic([3] * 12, [LEG] * 6 + [BASE] * 6), shots=2, seed=5).support
-    alone = few_shot(synthetic([3] * 6, [LEG] * 6), shots=2, seed=5).support
-    np.testing.assert_array_equal(both.observations[:6], alone.observations)
-
-
-def test_another_seed_draws_other_shots() -> None:
-    data = synthetic([3] * 12)
-    draws = {tuple(sorted(episodes(few_shot(data, shots=3, seed=seed).support))) for seed in range(5)}
-    assert len(draws) > 1
-
-
-def test_too_few_episodes_are_refused_with_the_count() -> None:
-    data = synthetic([3] * 4)
-    with pytest.raises(DatasetError, match="hopper-base has 4 episodes, and 3 shots and a query set need 5"):
-        few_shot(data, shots=3, queries=2)
-    with pytest.raises(DatasetError, match="need 5"):
-        few_shot(data, shots=4)
-    with pytest.raises(DatasetError, match="at least one episode"):
-        few_shot(data, shots=0)
