@@ -1,4 +1,4 @@
-"""LeRobot's dataset format v3.0: Parquet files of frames and of episodes, and JSON metadata. Requires pyarrow.
+"""LeRobot's dataset format v3.0: Parquet files of frames and episodes, and JSON metadata. Requires pyarrow.
 
 Each variant is a task. Floats are float32. The export loses the final observation of each episode;
 ``next.done`` and ``next.truncated`` state how it ended.
