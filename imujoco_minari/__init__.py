@@ -16,8 +16,9 @@ from imujoco_minari.variants import Variant, bases, catalogue
 if TYPE_CHECKING:
     from imujoco_minari.envs.mjcf import canonical_mjcf
     from imujoco_minari.exporting import export
-    from imujoco_minari.loading.sampling import Sampler
+    from imujoco_minari.loading import Sampler, arrays, few_shot
     from imujoco_minari.policies import load_policy
+    from imujoco_minari.policies.rollouts import evaluate
     from imujoco_minari.publishing.combiner import combine_datasets
     from imujoco_minari.publishing.publisher import publish
     from imujoco_minari.variants.splits import held_out
@@ -28,11 +29,14 @@ __all__ = [
     "ImujocoError",
     "Sampler",
     "Variant",
+    "arrays",
     "bases",
     "canonical_mjcf",
     "catalogue",
     "combine_datasets",
+    "evaluate",
     "export",
+    "few_shot",
     "held_out",
     "load_policy",
     "make",
@@ -42,10 +46,13 @@ __all__ = [
 ]
 
 _LAZY = {
-    "Sampler": "loading.sampling",
+    "Sampler": "loading",
+    "arrays": "loading",
     "canonical_mjcf": "envs.mjcf",
     "combine_datasets": "publishing.combiner",
+    "evaluate": "policies.rollouts",
     "export": "exporting",
+    "few_shot": "loading",
     "held_out": "variants.splits",
     "load_policy": "policies",
     "publish": "publishing.publisher",

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from imujoco_minari.loading.load import Arrays
-from imujoco_minari.loading.selection import Origin
+from imujoco_minari.loading import Arrays, Origin
 
 BASE = Origin("hopper-base", "hopper", "base", "", 0, "expert")
 LEG = Origin("hopper-massdec_25_leggeom", "hopper", "mass", "leggeom", -25, "expert")

@@ -36,7 +36,7 @@ def export_datasets(
     `imujoco export imujoco/hopper-all-v0 --format rlds --portion 0 0.75 -o train`
     """
     from imujoco_minari.exporting import default_target, export
-    from imujoco_minari.loading.load import arrays
+    from imujoco_minari.loading import arrays
 
     target = output or default_target(ids[0], format, states_only=states_only)
     exported = export(
@@ -68,8 +68,7 @@ def preferences(
 
     Example: `imujoco preferences imujoco/hopper-base-v0 imujoco/hopper-base-random-v0 --tiers expert,random`
     """
-    from imujoco_minari.loading.load import arrays
-    from imujoco_minari.loading.preferences import preference_pairs
+    from imujoco_minari.loading import arrays, preference_pairs
 
     target = output or Path(ids[0].rpartition("/")[2] + "-preferences.npz")
     ranked = tiers.split(",") if tiers else None

@@ -1,4 +1,8 @@
-"""Datasets as the files of other libraries: one module a format, one function for all."""
+"""Datasets as the files and in-memory objects of other libraries.
+
+:func:`export` writes files, with one module for each format. The ``to_...`` functions return objects.
+:mod:`imujoco_minari.exporting.torch` requires PyTorch, so it is imported separately.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +10,27 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import Any, Protocol, cast
 
-from imujoco_minari.errors import DatasetError, suggestion
-from imujoco_minari.loading.load import Arrays, arrays
+from imujoco_minari.errors import DatasetError, clipped, suggestion
+from imujoco_minari.exporting.adapters import to_d3rlpy, to_imitation, to_tensordict, to_tianshou, to_torchrl
+from imujoco_minari.loading import Arrays, Datasets, arrays
 from imujoco_minari.storage.targets import new_target
 
-if TYPE_CHECKING:
-    from imujoco_minari.loading.selection import Datasets
+__all__ = [
+    "FORMATS",
+    "Exported",
+    "Writer",
+    "default_target",
+    "export",
+    "to_d3rlpy",
+    "to_imitation",
+    "to_tensordict",
+    "to_tianshou",
+    "to_torchrl",
+]
 
-# Format -> the module that writes it, and the ending of the file; empty for a folder.
+# Format -> the module that writes it, and the file name extension; empty for a folder.
 FORMATS: Mapping[str, tuple[str, str]] = {
     "d4rl": ("d4rl", ".hdf5"),
     "di-engine": ("di_engine", ".hdf5"),
@@ -26,15 +41,15 @@ FORMATS: Mapping[str, tuple[str, str]] = {
 
 
 class Writer(Protocol):
-    """What each format's module is."""
+    """The interface of a format's module."""
 
     def write(self, data: Arrays, target: Path, *, states_only: bool) -> None:
-        """Write all of ``data`` to the new file or folder ``target``."""
+        """Write ``data`` to the new file or folder ``target``."""
 
 
 @dataclass(frozen=True)
 class Exported:
-    """What was written: where, in which format, how much."""
+    """The result of an export: its path and format, and the number of episodes and steps."""
 
     path: Path
     format: str
@@ -50,20 +65,24 @@ def export(
     states_only: bool = False,
     force: bool = False,
 ) -> Exported:
-    """Write datasets as a file or folder that another library reads.
+    """Write datasets of one robot as a file or folder that another library reads.
 
     Args:
-        data: arrays (loaded as stored, or chosen and split as you like), or datasets or their ids.
+        data: arrays, or datasets or their ids.
         format: ``d4rl``, ``di-engine``, ``rlds``, ``lerobot`` or ``npz``.
         target: the file or folder to make.
-        states_only: leave actions and rewards out, for imitation from observation.
-        force: replace a file or folder of that name, if it is an export; nothing else is replaced.
+        states_only: omit actions and rewards, for imitation from observation.
+        force: replace ``target`` if it is an export; nothing else is ever replaced.
 
     Raises:
-        DatasetError: when there is no such format.
-        DatasetExistsError: when ``target`` is there already, and ``force`` is false or it is no export.
+        DatasetError: when the format is unknown, or :func:`~imujoco_minari.loading.arrays` refuses the data.
+        DatasetExistsError: when ``target`` exists, and ``force`` is false or it is no export.
         DependencyError: when the format needs a package that is not installed.
         StorageError: when ``target`` cannot be written.
+
+    Example:
+        >>> export("imujoco/hopper-base-v0", "d4rl", "hopper-base.hdf5")  # doctest: +SKIP
+        Exported(path=PosixPath('hopper-base.hdf5'), format='d4rl', episodes=100, steps=100000)
     """
     target = Path(target)
     writer = _writer(format)
@@ -75,16 +94,17 @@ def export(
 
 
 def default_target(dataset_id: str, format: str, *, states_only: bool = False) -> Path:
-    """Return the name that an export gets when none is given, ``<name>-<format>``, in the present folder."""
+    """Return the default path of an export, ``<name>-<format>`` in the current folder."""
     _writer(format)
     name = dataset_id.rpartition("/")[2] + f"-{format}" + ("-states" if states_only else "")
     return Path(name + FORMATS[format][1])
 
 
 def _writer(format: str) -> Writer:
-    if format not in FORMATS:
+    if not isinstance(format, str) or format not in FORMATS:
+        shown = clipped(format)
         raise DatasetError(
-            f"unknown format {format[:80]!r}{suggestion(format[:80], FORMATS)}; valid: {', '.join(FORMATS)}"
+            f"unknown format {shown!r}{suggestion(shown, FORMATS)}; valid: {', '.join(FORMATS)}"
         )
     module: Any = import_module(f"imujoco_minari.exporting.{FORMATS[format][0]}")
     return cast(Writer, module)

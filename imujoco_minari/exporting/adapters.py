@@ -1,7 +1,7 @@
-"""Arrays as the datasets of other libraries, in memory: Tianshou, d3rlpy, TorchRL and imitation.
+"""Arrays as the in-memory datasets of other libraries: Tianshou, d3rlpy, TorchRL and imitation.
 
-Each is imported when its adapter is called; none is a dependency. What a library has no place for is
-said in its adapter's docstring.
+None of these libraries is a dependency: an adapter imports its library when it is called. The docstring of an
+adapter states which data the library cannot hold.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from imujoco_minari.errors import DependencyError
-from imujoco_minari.loading.load import Arrays
+from imujoco_minari.loading import Arrays
 
 
 def to_tianshou(data: Arrays) -> Any:
     """Return a ``tianshou.data.ReplayBuffer`` of all steps, in order.
 
-    Nothing is lost; the batches' ``info`` is empty.
+    No data is lost. The ``info`` of its batches is empty.
 
     Raises:
         DependencyError: when Tianshou is not installed.
@@ -35,7 +35,7 @@ def to_tianshou(data: Arrays) -> Any:
         done=data.dones,
         obs_next=data.next_observations,
     )
-    # from_data() (2.0.1) leaves this at 0, and the first step would count as the end of an episode.
+    # from_data() (2.0.1) leaves this at 0, which marks the first step as the end of an episode.
     buffer.last_index = np.array([len(data) - 1])
     return buffer
 
@@ -43,8 +43,8 @@ def to_tianshou(data: Arrays) -> Any:
 def to_d3rlpy(data: Arrays) -> Any:
     """Return a ``d3rlpy.dataset.MDPDataset`` of all episodes.
 
-    d3rlpy has no place for the observation after an episode's last step: it bootstraps from nothing at a
-    termination, and leaves the last step of a truncated episode out of its transitions.
+    d3rlpy does not hold the final observation of an episode. It does not bootstrap at a termination, and it
+    omits the last step of a truncated episode from its transitions.
 
     Raises:
         DependencyError: when d3rlpy is not installed.
@@ -59,17 +59,17 @@ def to_d3rlpy(data: Arrays) -> Any:
         actions=data.actions,
         rewards=data.rewards.reshape(-1, 1),
         terminals=data.terminations.astype(np.float32),
-        # d3rlpy asks for one or the other where an episode ends in both ways at once.
+        # d3rlpy requires exactly one of the two where an episode is both terminated and truncated.
         timeouts=(data.truncations & ~data.terminations).astype(np.float32),
         action_space=ActionSpace.CONTINUOUS,
     )
 
 
 def to_tensordict(data: Arrays) -> Any:
-    """Return a ``tensordict.TensorDict`` of N steps with TorchRL's keys; it shares the arrays' memory.
+    """Return a ``tensordict.TensorDict`` of the N steps, with TorchRL's keys. It shares the arrays' memory.
 
     Keys: ``observation``, ``action``, ``episode``, ``variant_index``, and under ``next``:
-    ``observation``, ``reward``, ``terminated``, ``truncated``, ``done``. Nothing is lost.
+    ``observation``, ``reward``, ``terminated``, ``truncated``, ``done``. No data is lost.
 
     Raises:
         DependencyError: when TensorDict is not installed.
@@ -103,8 +103,11 @@ def to_tensordict(data: Arrays) -> Any:
 def to_torchrl(data: Arrays, *, batch_size: int = 256) -> Any:
     """Return a ``torchrl.data.TensorDictReplayBuffer`` of all steps, in order.
 
-    TorchRL's own ``MinariExperienceReplay`` (0.14) gives zeros for a local dataset; this does not go
-    through it. Nothing is lost.
+    No data is lost. (TorchRL's own ``MinariExperienceReplay``, 0.14, returns zeros for a local dataset.)
+
+    Args:
+        data: the arrays.
+        batch_size: steps of a batch that ``sample()`` returns.
 
     Raises:
         DependencyError: when TorchRL is not installed.
@@ -119,9 +122,9 @@ def to_torchrl(data: Arrays, *, batch_size: int = 256) -> Any:
 
 
 def to_imitation(data: Arrays) -> list[Any]:
-    """Return a list of ``imitation.data.types.TrajectoryWithRew``, one an episode.
+    """Return a list of ``imitation.data.types.TrajectoryWithRew``, one for each episode.
 
-    Each says whether its episode was terminated; nothing is lost but that it was truncated otherwise.
+    ``terminal`` states whether the episode was terminated. imitation does not hold whether it was truncated.
 
     Raises:
         DependencyError: when imitation is not installed.
@@ -143,5 +146,5 @@ def to_imitation(data: Arrays) -> list[Any]:
 
 
 def _missing(package: str, purpose: str) -> DependencyError:
-    # No extra of this package: the versions that some of these pin cannot live beside its own.
+    # Not an extra of this package: some of these libraries pin versions that conflict with its own.
     return DependencyError(f"{purpose} needs {package}, which is not installed: run `pip install {package}`")

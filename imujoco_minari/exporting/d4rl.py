@@ -1,8 +1,8 @@
 """D4RL's flat HDF5: arrays of N steps, floats in float32.
 
-D4RL's own ``qlearning_dataset`` takes row i + 1 for the next observation, so it must drop the rows that
-``timeouts`` marks, and it loses the last row; ``next_observations`` has what it misses. An episode's last
-step is in ``terminals`` or in ``timeouts``, never in both and never in neither, so no boundary is lost.
+The last step of each episode is marked in either ``terminals`` or ``timeouts``, so no boundary is lost.
+D4RL's own ``qlearning_dataset`` takes row i + 1 as the next observation. It therefore drops the rows that
+``timeouts`` marks, and the last row; ``next_observations`` has the observations that it drops.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from imujoco_minari.loading.load import Arrays
+from imujoco_minari.loading import Arrays
 from imujoco_minari.storage.quiet_file import writing
 
 
@@ -32,6 +32,6 @@ def write(data: Arrays, target: Path, *, states_only: bool) -> None:
         for name, column in columns.items():
             file.create_dataset(name, data=column)
         file["infos/variant_index"] = data.variant_index
-        # As attributes: D4RL's sequence_dataset takes N entries of whatever array there is.
+        # These are attributes because D4RL's sequence_dataset expects N entries in every array.
         file.attrs["variants"] = [origin.variant for origin in data.table]
         file.attrs["tiers"] = [origin.tier for origin in data.table]

@@ -1,7 +1,7 @@
-"""DI-engine's flat HDF5, as its ``HDF5Dataset`` reads it: every key at the top is an array of N steps.
+"""DI-engine's flat HDF5, as its ``HDF5Dataset`` reads it: each top-level key is an array of N steps.
 
-``done`` is a termination: DI-engine does not bootstrap where it is set. What is lost is where an episode
-was truncated, so steps stay whole transitions but episodes cannot all be told apart.
+``done`` marks terminations, because DI-engine does not bootstrap where it is set. The export loses
+truncations: every transition is complete, but the boundaries of truncated episodes are not stored.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from imujoco_minari.errors import DatasetError
-from imujoco_minari.loading.load import Arrays
+from imujoco_minari.loading import Arrays
 from imujoco_minari.storage.quiet_file import writing
 
 
@@ -19,11 +19,11 @@ def write(data: Arrays, target: Path, *, states_only: bool) -> None:
     """Write ``data`` to the HDF5 file ``target``.
 
     Raises:
-        DatasetError: with ``states_only``; DI-engine's reader fails without actions.
+        DatasetError: with ``states_only``, because DI-engine's reader requires actions.
     """
     if states_only:
         raise DatasetError(
-            "DI-engine's HDF5Dataset needs actions: valid for states alone are d4rl, rlds, lerobot, npz"
+            "DI-engine's HDF5Dataset requires actions; valid for states only: d4rl, rlds, lerobot, npz"
         )
     columns = {
         "obs": data.observations,

@@ -1,7 +1,7 @@
-"""LeRobot's dataset format v3.0: Parquet files of frames and of episodes, JSON files about them.
+"""LeRobot's dataset format v3.0: Parquet files of frames and episodes, and JSON metadata. Requires pyarrow.
 
-Each variant is a task. Floats are float32. What is lost is the observation that follows an episode's
-last step; ``next.done`` and ``next.truncated`` say how it ended. Needs pyarrow.
+Each variant is a task. Floats are float32. The export loses the final observation of each episode;
+``next.done`` and ``next.truncated`` state how it ended.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imujoco_minari.errors import missing_dependency
-from imujoco_minari.loading.load import Arrays
+from imujoco_minari.loading import Arrays
 
 VERSION = "v3.0"
 # Environment steps a second: MuJoCo's time step times Gymnasium's frame skip.
 STEPS_PER_SECOND = {"hopper": 125, "halfcheetah": 20, "walker2d": 125}
 
 _PATH = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
-# Frames a file; 200 bytes each keep it below the 100 MB that LeRobot wants.
+# Frames of a file. At 200 bytes each, a file stays below the 100 MB that LeRobot recommends.
 _FILE_FRAMES = 500_000
 _FILES_A_CHUNK = 1000
 _QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
@@ -72,7 +72,7 @@ def _columns(data: Arrays, rate: int, states_only: bool) -> Columns:
 
 
 def _files(data: Arrays) -> NDArray[Any]:
-    """Return in which file each episode goes, whole."""
+    """Return the number of the file for each episode."""
     return data.episode_starts // _FILE_FRAMES
 
 
@@ -140,7 +140,7 @@ def _parquet(path: Path, columns: dict[str, Any], index: tuple[str, list[str]] |
     if index is not None:
         name, labels = index
         table = table.append_column(name, pa.array(labels))
-        # LeRobot looks tasks up in the index of a pandas frame, and pandas learns of one from this.
+        # LeRobot looks tasks up in the index of a pandas frame. This metadata makes pandas set that index.
         labelled = {"name": name, "field_name": name, "pandas_type": "unicode", "numpy_type": "object"}
         described = {"index_columns": [name], "columns": [labelled], "column_indexes": []}
         table = table.replace_schema_metadata({"pandas": json.dumps(described)})

@@ -1,9 +1,9 @@
-"""RLDS episodes as TFRecords, with the two JSON files by which TensorFlow Datasets reads a folder.
+"""RLDS episodes as TFRecords, with the two JSON files that TensorFlow Datasets requires to read a folder.
 
-``tensorflow_datasets.builder_from_directory(folder)`` opens it; writing needs no TensorFlow. An episode
-of T steps has T + 1, the last with its final observation, and with zeros for action and reward, which
-RLDS ignores there. It was truncated where that step ``is_last`` and not ``is_terminal``. Numbers are in
-float32, which is all that ``tf.train.Example`` holds; otherwise nothing is lost.
+``tensorflow_datasets.builder_from_directory(folder)`` opens it. Writing does not require TensorFlow. An
+episode of T steps is stored as T + 1 steps. The last one has the final observation, and zeros for action and
+reward, which RLDS ignores there. The episode was truncated if that step ``is_last`` and not ``is_terminal``.
+Numbers are float32, the only float type of ``tf.train.Example``. No other data is lost.
 """
 
 from __future__ import annotations
@@ -15,11 +15,10 @@ from typing import Any
 import numpy as np
 
 from imujoco_minari.exporting.tfrecord import example, record
-from imujoco_minari.loading.load import Arrays, Trajectory
-from imujoco_minari.loading.selection import ATTRIBUTES, Origin
+from imujoco_minari.loading import ATTRIBUTES, Arrays, Origin, Trajectory
 
 VERSION = "1.0.0"
-# A file that grows beyond this (bytes) is the last but one.
+# A file is closed when it grows beyond this size (bytes).
 _SHARD = 2**28
 
 _FEATURES = "tensorflow_datasets.core.features"
@@ -33,7 +32,7 @@ def write(data: Arrays, target: Path, *, states_only: bool) -> None:
     records: list[bytes] = []
     lengths: list[int] = []
     size = written = 0
-    # Files say in their names how many there are, which is known at the end.
+    # The name of each file has the number of files, which is known only at the end.
     for number, (episode, origin) in enumerate(zip(data.trajectories(), data.origins, strict=True)):
         message = _episode(episode, origin, number, states_only)
         records.append(record(message))

@@ -1,7 +1,7 @@
-"""Arrays as ``torch.utils.data.Dataset``: one of transitions, one of windows.
+"""Arrays as ``torch.utils.data.Dataset``: one dataset of transitions, one of windows.
 
-Both answer a whole batch by one fancy index (``__getitems__``, which ``DataLoader`` prefers), so that a
-batch costs one copy of each array; give the loader :func:`as_is` as its ``collate_fn``.
+Both gather a whole batch with one index (``__getitems__``, which ``DataLoader`` prefers), so that a batch
+costs one copy of each array. Pass :func:`as_is` to the loader as its ``collate_fn``.
 """
 
 from __future__ import annotations
@@ -13,21 +13,27 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset
 
-from imujoco_minari.loading.load import Arrays
-from imujoco_minari.loading.sampling import gather_windows, window_starts
-from imujoco_minari.loading.transitions import Packed, gather_transitions
+from imujoco_minari.loading import Arrays
+from imujoco_minari.loading.batches import gather_transitions, gather_windows, window_starts
+from imujoco_minari.loading.episode_arrays import check_arrays
 
 Batch = dict[str, torch.Tensor]
 
 
 class TransitionDataset(Dataset[Batch]):
-    """Steps, each a dict of the tensors of :class:`~imujoco_minari.loading.load.Transitions`.
+    """The N steps of ``data``. An item is a dict of the tensors of one step.
+
+    The keys are the fields of :class:`~imujoco_minari.loading.TransitionBatch`.
 
     Args:
-        data: the arrays, or what :func:`~imujoco_minari.loading.transitions.pack` made of them.
+        data: the arrays.
+
+    Example:
+        >>> loader = DataLoader(TransitionDataset(data), batch_size=256, collate_fn=as_is)  # doctest: +SKIP
     """
 
-    def __init__(self, data: Arrays | Packed) -> None:
+    def __init__(self, data: Arrays) -> None:
+        check_arrays(data)
         self.data = data
 
     def __len__(self) -> int:
@@ -37,21 +43,26 @@ class TransitionDataset(Dataset[Batch]):
         return {name: tensor[0] for name, tensor in self.__getitems__([row]).items()}
 
     def __getitems__(self, rows: Sequence[int]) -> Batch:
-        """Return a batch of steps."""
+        """Return a batch of steps: tensors (B, ...)."""
         return _tensors(gather_transitions(self.data, np.asarray(rows)))
 
 
 class WindowDataset(Dataset[Batch]):
-    """Windows of ``length`` steps, as dicts of tensors: :class:`~imujoco_minari.loading.sampling.Windows`.
+    """Windows of ``length`` steps of one episode. An item is a dict of the tensors of one window.
+
+    The keys are the fields of :class:`~imujoco_minari.loading.Windows`.
 
     Args:
         data: the arrays.
         length: steps of a window.
-        padded: also windows that end with their episode before ``length`` steps, padded with zeros.
+        padded: include windows that the end of their episode cuts short, padded with zeros.
+
+    Raises:
+        DatasetError: when no episode has ``length`` steps.
     """
 
     def __init__(self, data: Arrays, length: int, *, padded: bool = False) -> None:
-        self.arrays, self.length = data, length
+        self.data, self.length = data, length
         self._starts = window_starts(data, length, padded=padded)
 
     def __len__(self) -> int:
@@ -61,12 +72,12 @@ class WindowDataset(Dataset[Batch]):
         return {name: tensor[0] for name, tensor in self.__getitems__([window]).items()}
 
     def __getitems__(self, windows: Sequence[int]) -> Batch:
-        """Return a batch of windows."""
-        return _tensors(gather_windows(self.arrays, self._starts[np.asarray(windows)], self.length))
+        """Return a batch of windows: tensors (B, length, ...)."""
+        return _tensors(gather_windows(self.data, self._starts[np.asarray(windows)], self.length))
 
 
 def as_is(batch: Any) -> Any:
-    """Return a batch that is one already: the ``collate_fn`` of a ``DataLoader`` over these datasets."""
+    """Return the batch unchanged: the ``collate_fn`` of a ``DataLoader`` over these datasets."""
     return batch
 
 

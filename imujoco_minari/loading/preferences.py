@@ -1,7 +1,7 @@
-"""Ranked data as pairs: two stretches of steps of one variant, and which of them is preferred.
+"""Preference pairs: two segments of episodes of one variant, and which of them is preferred.
 
-The preference is that of the tiers, where a ranking of them is given (an expert's stretch over a random
-one's), or that of the return within the stretch.
+The preferred segment is that of the better tier, where a ranking of tiers is given (an expert's segment over
+a random policy's), or the one with the larger return.
 """
 
 from __future__ import annotations
@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from imujoco_minari.errors import DatasetError, suggestion
-from imujoco_minari.loading.load import Arrays
-from imujoco_minari.loading.sampling import Windows, gather_windows, window_starts
+from imujoco_minari.errors import DatasetError, clipped, suggestion
+from imujoco_minari.loading.arguments import whole_number
+from imujoco_minari.loading.batches import Windows, gather_windows, window_starts
+from imujoco_minari.loading.episode_arrays import Arrays
 from imujoco_minari.storage.targets import new_target
 
 Array = NDArray[Any]
@@ -24,13 +25,13 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True, eq=False)
 class Preferences:
-    """P pairs of stretches of L steps.
+    """P pairs of segments of L steps.
 
     Attributes:
-        first: the one stretch of each pair, arrays (P, L, ...).
-        second: the other.
-        preferred: (P,) int64; 0 where the first is preferred, 1 where the second is.
-        scores: (P, 2) float64; what was compared: return of the stretch, or minus the tier's place.
+        first: the first segment of each pair, arrays (P, L, ...).
+        second: the second segment of each pair.
+        preferred: (P,) int64; 0 where the first segment is preferred, 1 where the second is.
+        scores: (P, 2) float64; the compared values: the return of the segment, or minus the rank of its tier.
     """
 
     first: Windows
@@ -38,17 +39,17 @@ class Preferences:
     preferred: Array
     scores: Array
 
-    def save(self, path: Path, *, force: bool = False) -> None:
+    def save(self, path: Path | str, *, force: bool = False) -> None:
         """Write a ``.npz`` file: ``first_observations`` (P, L, obs) and so on, ``preferred``, ``scores``.
 
         Raises:
-            DatasetExistsError: when ``path`` is there already, and ``force`` is false or it is no such file.
+            DatasetExistsError: when ``path`` exists, and ``force`` is false or it is no such file.
             StorageError: when it cannot be written.
         """
         columns = {"preferred": self.preferred, "scores": self.scores}
         for side, windows in (("first", self.first), ("second", self.second)):
             columns |= {f"{side}_{name}": array for name, array in windows._asdict().items()}
-        with new_target(path, force=force) as staged, staged.open("wb") as file:
+        with new_target(Path(path), force=force) as staged, staged.open("wb") as file:
             np.savez(file, **columns)  # type: ignore[arg-type]
 
 
@@ -60,25 +61,32 @@ def preference_pairs(
     tiers: Sequence[str] | None = None,
     seed: int = 0,
 ) -> Preferences:
-    """Draw pairs of stretches of one variant each, and say which of them is preferred.
+    """Draw pairs of segments, and label which of the two is preferred.
+
+    Both segments of a pair are of one variant. No pair has equal scores.
 
     Args:
-        data: arrays of one or many variants, of several tiers if these are to rank.
-        pairs: how many.
-        length: steps of a stretch; each lies within one episode.
-        tiers: from the best to the worst, as ``("expert", "medium", "random")``; None ranks by return.
+        data: arrays of one or many variants; of several tiers, if ``tiers`` ranks them.
+        pairs: number of pairs.
+        length: steps of a segment; each segment lies within one episode.
+        tiers: the tiers from best to worst, as ``("expert", "medium", "random")``; None ranks by return.
         seed: of the draws.
 
     Raises:
-        DatasetError: when a variant has nothing to prefer, or ``tiers`` are not those of the data.
+        DatasetError: when all segments of a variant have one score, ``tiers`` lacks a tier of the data, or
+            an argument is not valid.
+
+    Example:
+        >>> chosen = preference_pairs(data, pairs=500, length=25, seed=0)  # doctest: +SKIP
+        >>> chosen.first.observations.shape  # doctest: +SKIP
+        (500, 25, 11)
     """
-    if pairs < 1:
-        raise DatasetError(f"there is at least one pair, not {pairs}")
+    whole_number(pairs, "pairs", least=1)
     starts = window_starts(data, length)
-    scores = _tier_scores(data, tiers)[starts] if tiers else _returns(data, starts, length)
+    scores = _returns(data, starts, length) if tiers is None else _tier_scores(data, tiers)[starts]
     names = [origin.variant for origin in data.table]
     variants = np.array([names.index(name) for name in names])[data.variant_index[starts]]
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(whole_number(seed, "seed", least=0))
     drawn = [
         _draw(np.flatnonzero(variants == variant), scores, count, names[variant], rng)
         for variant, count in zip(*_shares(variants, pairs, rng), strict=True)
@@ -95,7 +103,7 @@ def preference_pairs(
 
 
 def _shares(variants: Array, pairs: int, rng: np.random.Generator) -> tuple[list[int], list[int]]:
-    """Return the variants, and how many of the pairs each gets, by its number of stretches."""
+    """Return the variants, and the number of pairs for each, in proportion to its number of segments."""
     present, counts = np.unique(variants, return_counts=True)
     return present.tolist(), rng.multinomial(pairs, counts / counts.sum()).tolist()
 
@@ -103,9 +111,7 @@ def _shares(variants: Array, pairs: int, rng: np.random.Generator) -> tuple[list
 def _draw(candidates: Array, scores: Array, count: int, name: str, rng: np.random.Generator) -> Array:
     """Return ``count`` pairs (count, 2) of candidates that differ in score."""
     if np.ptp(scores[candidates]) == 0:
-        raise DatasetError(
-            f"all stretches of {name or 'the dataset'} rank the same: there is nothing to prefer"
-        )
+        raise DatasetError(f"all segments of {name or 'the dataset'} have the same score: no pair to prefer")
     found = np.empty((0, 2), np.int64)
     while len(found) < count:
         drawn = rng.choice(candidates, size=(2 * count, 2))
@@ -120,12 +126,20 @@ def _returns(data: Arrays, starts: Array, length: int) -> Array:
 
 
 def _tier_scores(data: Arrays, tiers: Sequence[str]) -> Array:
+    if (
+        isinstance(tiers, str)
+        or not isinstance(tiers, Sequence)
+        or not all(isinstance(t, str) for t in tiers)
+    ):
+        raise DatasetError(
+            f"tiers must be a list from best to worst, as ['expert', 'random'], not {clipped(repr(tiers))}"
+        )
     places = {tier: place for place, tier in enumerate(tiers)}
     for origin in data.table:
         if origin.tier not in places:
             raise DatasetError(
                 f"the data has the tier {origin.tier!r}{suggestion(origin.tier, places)}, "
-                f"which is not ranked among: {', '.join(tiers)}"
+                f"which is not in tiers: {', '.join(tiers)}"
             )
     scores: Array = np.array([-float(places[origin.tier]) for origin in data.table])
     return scores[data.variant_index]

@@ -1,7 +1,7 @@
-"""Which episodes: of which datasets, with which attributes, and which share of them.
+"""Which episodes to load: from which datasets, with which attributes, and which share of them.
 
-A share is drawn by episode, from each variant and tier by itself, and depends on the seed, the variant
-and the tier alone: an episode is on the same side of a split whether its dataset is read alone, with
+A share is drawn by episode, separately for each variant and tier. It depends only on the seed, the variant
+and the tier. An episode is therefore on the same side of a split whether its dataset is loaded alone, with
 others, or as part of a collection.
 """
 
@@ -11,25 +11,24 @@ import hashlib
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from imujoco_minari.errors import DatasetError, DatasetNotFoundError, VariantError, suggestion
+from imujoco_minari.errors import DatasetError, DatasetNotFoundError, VariantError, clipped, suggestion
+from imujoco_minari.loading.arguments import whole_number
 from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.storage.reader import EpisodeFile
 
 if TYPE_CHECKING:
-    from typing import TypeAlias
-
     from minari import MinariDataset
 
-    Datasets: TypeAlias = str | MinariDataset | Sequence[str | MinariDataset]
+Datasets: TypeAlias = "str | MinariDataset | Sequence[str | MinariDataset]"
 
 
 @dataclass(frozen=True, order=True)
 class Origin:
-    """Where an episode comes from: its variant, taken apart, and its tier; empty where it is not known."""
+    """The variant of an episode, with its parts, and the tier; empty where they are not known."""
 
     variant: str = ""
     robot: str = ""
@@ -43,13 +42,13 @@ ATTRIBUTES = tuple(field.name for field in fields(Origin))
 
 
 @dataclass(frozen=True)
-class Source:
-    """One dataset, or view of one.
+class View:
+    """A dataset, or some of its episodes.
 
     Attributes:
-        dataset_id: its id.
+        dataset_id: the id of the dataset.
         file: its ``main_data.hdf5``.
-        episodes: numbers of the episodes in the view; None for all.
+        episodes: the numbers of the episodes in the view; None for all.
     """
 
     dataset_id: str
@@ -58,66 +57,80 @@ class Source:
 
 
 @dataclass(frozen=True)
-class Episode:
-    """One episode: in which source, under which number, from where."""
+class EpisodeReference:
+    """One stored episode: the view that has it, its number in the file, and its origin."""
 
-    source: Source
+    view: View
     number: int
     origin: Origin
 
 
-def sources(datasets: Datasets) -> list[Source]:
-    """Return the sources that ids or datasets name.
+def views(datasets: Datasets) -> list[View]:
+    """Return a view for each id or dataset.
 
     Raises:
-        DatasetNotFoundError: when an id names no dataset of the Minari root.
-        DatasetError: when there are none, or one is not stored as HDF5.
+        DatasetNotFoundError: when a dataset is not in the Minari root.
+        DatasetError: when there is no dataset, or one is not stored as HDF5.
     """
     if isinstance(datasets, str) or not isinstance(datasets, Iterable) or hasattr(datasets, "storage"):
         datasets = [datasets]
-    found = [_source(dataset) for dataset in datasets]
+    found = [_view(dataset) for dataset in datasets]
     if not found:
         raise DatasetError("no dataset was given")
     return found
 
 
-def _source(dataset: Any) -> Source:
+def _view(dataset: Any) -> View:
     if isinstance(dataset, str):
-        folder = minari_root.dataset_folder(dataset)
-        file = file_format.main_file(folder / "data")
-        if not folder.exists():
-            raise DatasetNotFoundError(
-                f"{dataset} is not in the Minari root, at {folder}; see `minari list local`"
-            )
-        if not file.is_file():
-            raise DatasetError(f"{dataset} is not stored as HDF5: it has no {file.name}")
-        return Source(dataset, file)
+        return View(dataset, _main_file(dataset, minari_root.dataset_folder(dataset)))
     if not hasattr(dataset, "storage"):
         raise DatasetError(f"a dataset is a Minari dataset or its id, not {type(dataset).__name__}")
     if dataset.storage.FORMAT != "hdf5":
         raise DatasetError(f"{dataset.id} is stored as {dataset.storage.FORMAT}; valid: hdf5")
+    file = _main_file(dataset.id, Path(dataset.storage.data_path).parent)
     chosen = tuple(int(number) for number in dataset.episode_indices)
     everything = chosen == tuple(range(dataset.storage.total_episodes))
-    file = file_format.main_file(dataset.storage.data_path)
-    return Source(dataset.id, file, None if everything else chosen)
+    return View(dataset.id, file, None if everything else chosen)
 
 
-def episodes(source: Source, file: EpisodeFile) -> list[Episode]:
-    """Return the episodes of a source, in its order, each with its origin."""
+def _main_file(dataset_id: str, folder: Path) -> Path:
+    if not folder.exists():
+        raise DatasetNotFoundError(
+            f"{dataset_id} is not in the Minari root, at {folder}: "
+            "`imujoco publish` makes it, `minari list local` lists the datasets that exist"
+        )
+    file = file_format.main_file(folder / "data")
+    if not file.is_file():
+        raise DatasetError(f"{dataset_id} is not stored as HDF5: it has no {file.name}")
+    return file
+
+
+def episodes(view: View, file: EpisodeFile) -> list[EpisodeReference]:
+    """Return the episodes of a view, in its order.
+
+    Raises:
+        DatasetError: when an attribute of an episode has a wrong type.
+    """
     root = file.attributes
     shared = {name: root[name] for name in ATTRIBUTES if name in root}
     varying = [name for name in ATTRIBUTES if name not in shared]
     if "variant" in shared and "tier" in shared:
-        # The dataset is of one variant, and its episodes say nothing else.
+        # The dataset is of one variant, so its episodes have no attributes that differ.
         varying = []
     known: dict[tuple[Any, ...], Origin] = {}
     found = []
-    for number in file.numbers() if source.episodes is None else source.episodes:
+    for number in file.numbers() if view.episodes is None else view.episodes:
         attributes = shared | (file.episode_attributes(number, varying) if varying else {})
         key = tuple(attributes.items())
-        if key not in known:
-            known[key] = _origin(attributes)
-        found.append(Episode(source, number, known[key]))
+        try:
+            if key not in known:
+                known[key] = _origin(attributes)
+        except (TypeError, ValueError):
+            raise DatasetError(
+                f"{view.dataset_id}: episode {number} has attributes that are not text, or a percent "
+                "that is not a whole number"
+            ) from None
+        found.append(EpisodeReference(view, number, known[key]))
     return found
 
 
@@ -126,12 +139,17 @@ def _origin(attributes: Mapping[str, Any]) -> Origin:
     return Origin(percent=int(attributes.get("percent", 0)), **words)
 
 
-def matching(found: Sequence[Episode], where: Mapping[str, Any]) -> list[Episode]:
-    """Return the episodes whose attributes are ``where``'s values, or among them where it gives several.
+def matching(found: Sequence[EpisodeReference], where: Mapping[str, Any]) -> list[EpisodeReference]:
+    """Return the episodes that have, for each attribute in ``where``, the value or one of the values.
 
     Raises:
-        VariantError: when ``where`` has an unknown key, or a value that no episode has.
+        VariantError: when ``where`` is not a mapping, or has an unknown attribute or a value that no
+            episode has.
     """
+    if not isinstance(where, Mapping):
+        raise VariantError(
+            f"where must map attributes to values, as in {{'category': 'mass'}}, not {clipped(repr(where))}"
+        )
     chosen = list(found)
     for name, wanted in where.items():
         if name not in ATTRIBUTES:
@@ -139,41 +157,58 @@ def matching(found: Sequence[Episode], where: Mapping[str, Any]) -> list[Episode
                 f"unknown attribute {name!r}{suggestion(str(name), ATTRIBUTES)}; "
                 f"valid: {', '.join(ATTRIBUTES)}"
             )
-        several = isinstance(wanted, Collection) and not isinstance(wanted, str)
-        values = set(wanted) if several else {wanted}
+        values = _values(name, wanted)
         present = {getattr(episode.origin, name) for episode in found}
         missing = sorted(values - present, key=str)
-        if missing and not (several and values & present):
+        if missing and not (len(values) > 1 and values & present):
             near = suggestion(str(missing[0]), map(str, present))
             raise VariantError(
                 f"no episode has the {name} {missing[0]!r}{near}; "
-                f"there are: {', '.join(map(str, sorted(present)))}"
+                f"valid: {', '.join(map(str, sorted(present)))}"
             )
         chosen = [episode for episode in chosen if getattr(episode.origin, name) in values]
     if not chosen:
-        raise VariantError(
-            "no episode has all of "
-            + ", ".join(f"{name} {wanted!r}" for name, wanted in where.items())
-            + ", though each alone has some"
-        )
+        criteria = ", ".join(f"{name} {wanted!r}" for name, wanted in where.items())
+        raise VariantError(f"no episode has all of {criteria}")
     return chosen
 
 
+def _values(name: str, wanted: Any) -> set[Any]:
+    """Return the values of one attribute in ``where``, which may be one value or several."""
+    several = isinstance(wanted, Collection) and not isinstance(wanted, str)
+    try:
+        values = set(wanted) if several else {wanted}
+    except TypeError:
+        values = set()
+    if not values:
+        raise VariantError(f"where: {name} must be a value or a list of values, not {clipped(repr(wanted))}")
+    return values
+
+
 def portion_of(origins: Sequence[Origin], portion: tuple[float, float], seed: int) -> list[int]:
-    """Return which episodes make a share of each origin's, in their order.
+    """Return which episodes make up a share of each origin's episodes, in their order.
 
     Args:
-        origins: of each episode.
-        portion: from and to, of the episodes shuffled by ``seed``; (0, 0.75) and (0.75, 1) make two
-            disjoint shares that together are all.
+        origins: the origin of each episode.
+        portion: start and end of the share of the episodes that ``seed`` shuffles. (0, 0.75) and
+            (0.75, 1) are two disjoint shares that together are all.
         seed: of the shuffle.
 
     Raises:
-        DatasetError: when ``portion`` is no part of [0, 1], or no episode falls into it.
+        DatasetError: when ``portion`` is not an interval within [0, 1], no episode falls into it, or
+            the seed is not valid.
     """
-    low, high = portion
-    if not 0 <= low < high <= 1:
-        raise DatasetError(f"portion must lie in 0 to 1, as (0.0, 0.75) does, not {portion}")
+    whole_number(seed, "seed", least=0)
+    try:
+        low, high = portion
+        valid = bool(0 <= low < high <= 1)
+    except (TypeError, ValueError):
+        valid = False
+    if not valid:
+        raise DatasetError(
+            f"portion must be two increasing numbers from 0 to 1, as in (0.0, 0.75), "
+            f"not {clipped(repr(portion))}"
+        )
     if (low, high) == (0, 1):
         return list(range(len(origins)))
     chosen: list[int] = []
@@ -185,13 +220,7 @@ def portion_of(origins: Sequence[Origin], portion: tuple[float, float], seed: in
 
 
 def shuffled(origins: Sequence[Origin], seed: int) -> Iterator[list[int]]:
-    """Yield, for each origin, which episodes are its, in an order drawn by ``seed``.
-
-    Raises:
-        DatasetError: when the seed is negative.
-    """
-    if seed < 0:
-        raise DatasetError(f"a seed is not negative, as {seed} is")
+    """Yield, for each origin, the places of its episodes in an order drawn by ``seed``."""
     places: dict[Origin, list[int]] = {}
     for place, origin in enumerate(origins):
         places.setdefault(origin, []).append(place)

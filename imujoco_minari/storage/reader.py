@@ -72,8 +72,15 @@ class EpisodeFile:
         return stored.shape, stored.dtype
 
     def length(self, episode: int) -> int:
-        """Return the steps of an episode."""
-        return int(self._array(self._group(episode)[0], "rewards", episode).shape[0])
+        """Return the number of steps of an episode.
+
+        Raises:
+            DatasetError: when its rewards are not an array with one row for each step.
+        """
+        shape = self._array(self._group(episode)[0], "rewards", episode).shape
+        if not shape:
+            raise DatasetError(f"{self.name}: episode {episode}: rewards are not an array")
+        return int(shape[0])
 
     def read(self, episode: int, targets: Mapping[str, Array]) -> None:
         """Fill each array of ``targets`` (C-contiguous, of the stored shape) from the episode's of its name.

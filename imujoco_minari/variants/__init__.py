@@ -22,6 +22,7 @@ from imujoco_minari.variants.robots import (
     parse_specification,
     specification,
 )
+from imujoco_minari.variants.splits import HeldOut, held_out, held_out_names
 
 __all__ = [
     "BASE",
@@ -31,10 +32,13 @@ __all__ = [
     "NAMESPACE",
     "ROBOTS",
     "Change",
+    "HeldOut",
     "RobotSpecification",
     "Variant",
     "bases",
     "catalogue",
+    "held_out",
+    "held_out_names",
     "parse_dataset_id",
     "parse_specification",
     "specification",

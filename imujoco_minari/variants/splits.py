@@ -1,74 +1,109 @@
-"""Splits for generalisation: held-out variants, fixed and named.
+"""Splits for generalisation: variants to train on, and held-out variants to test on.
 
-The splits are data (``splits.toml``), so that a paper can name one and mean the same variants.
-They are over the catalogue of 154; the bases are on neither side.
+The named splits are data (``splits.toml``), so that a paper can name one and mean the same variants for ever.
+They are over the 154 variants of the catalogue; the bases are on neither side.
 """
 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from types import MappingProxyType
 from typing import Any
 
-from imujoco_minari.errors import CatalogueError, VariantError, suggestion
-from imujoco_minari.variants import Variant, catalogue, specification
+from imujoco_minari.errors import CatalogueError, VariantError, clipped, suggestion
+from imujoco_minari.variants.ids import Variant, catalogue
+from imujoco_minari.variants.robots import specification
 
-_RULES = ("category", "body", "percent")
+_RULES = ("robot", "category", "body", "percent", "variant")
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """A named split of one robot's published variants.
+    """A split of variants into those to train on and those that are held out.
+
+    :func:`held_out` returns the named splits of this package. Make your own from two lists of ids.
 
     Attributes:
-        name: as in ``hopper-friction-v1``; the same name is the same split for ever.
-        robot: whose variants are split.
-        description: what is held out.
-        train: ids of the variants to learn from.
+        name: of the split, as ``hopper-friction-v1``.
+        train: ids of the variants to train on.
         test: ids of the variants that are held out.
+        description: of what is held out.
+
+    Raises:
+        VariantError: when an id is not of a variant, a side is empty, or a variant appears twice.
+
+    Example:
+        >>> HeldOut("mine", train=["hopper-base"], test=["hopper-massdec_25_leggeom"]).robots
+        ('hopper',)
     """
 
     name: str
-    robot: str
-    description: str
     train: tuple[str, ...]
     test: tuple[str, ...]
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "train", self._ids(self.train))
+        object.__setattr__(self, "test", self._ids(self.test))
+        ids = self.train + self.test
+        if len(set(ids)) < len(ids):
+            twice = next(variant for variant in ids if ids.count(variant) > 1)
+            raise VariantError(f"split {self.name}: {twice} appears twice in train and test")
+
+    def _ids(self, side: Any) -> tuple[str, ...]:
+        if isinstance(side, str) or not isinstance(side, Iterable):
+            raise VariantError(
+                f"split {self.name}: expected a list of variant ids, not {clipped(repr(side))}"
+            )
+        ids = tuple(str(Variant.parse(str(variant))) for variant in side)
+        if not ids:
+            raise VariantError(f"split {self.name}: train and test each need at least one variant")
+        return ids
+
+    @property
+    def robots(self) -> tuple[str, ...]:
+        """The robots of the variants, those of ``train`` first."""
+        return tuple(dict.fromkeys(Variant.parse(variant).robot for variant in self.train + self.test))
 
 
 def held_out(name: str) -> HeldOut:
-    """Return the held-out split of this name.
+    """Return the named split ``name``.
 
     Raises:
-        VariantError: when there is none.
+        VariantError: when no split has this name.
+
+    Example:
+        >>> held_out("hopper-friction-v1").test[0]
+        'hopper-frictiondec_50_feet'
     """
     splits = _splits()
-    if name not in splits:
-        raise VariantError(
-            f"unknown split {name[:80]!r}{suggestion(name[:80], splits)}; valid: {', '.join(splits)}"
-        )
+    if not isinstance(name, str) or name not in splits:
+        shown = clipped(name)
+        raise VariantError(f"unknown split {shown!r}{suggestion(shown, splits)}; valid: {', '.join(splits)}")
     return splits[name]
 
 
 def held_out_names(robot: str | None = None) -> tuple[str, ...]:
-    """Return the names of the held-out splits, of one robot or of all.
+    """Return the names of all splits, or of the splits within one robot.
 
     Raises:
-        VariantError: when there is no such robot.
+        VariantError: when ``robot`` is not a robot.
     """
-    if robot is not None:
-        specification(robot)
-    return tuple(name for name, split in _splits().items() if robot in (None, split.robot))
+    if robot is None:
+        return tuple(_splits())
+    specification(robot)
+    return tuple(name for name, split in _splits().items() if split.robots == (robot,))
 
 
 def parse_splits(text: str, name: str) -> Mapping[str, HeldOut]:
     """Return the splits written in the TOML ``text`` of the file ``name``.
 
     Raises:
-        CatalogueError: when it is no TOML, or a key or value in it is none of a split's.
+        CatalogueError: when it is not TOML, or has a key or a value that is not valid.
     """
     try:
         data = tomllib.loads(text)
@@ -80,31 +115,35 @@ def parse_splits(text: str, name: str) -> Mapping[str, HeldOut]:
 
 
 def _split(title: str, table: Any, where: str) -> HeldOut:
-    if not isinstance(table, dict) or set(table) != {"robot", "description", "held_out"}:
-        raise CatalogueError(f"{where} must hold robot, description and held_out, and nothing else")
+    keys = {"description", "held_out"}
+    if not isinstance(table, dict) or set(table) - {"robot"} != keys:
+        raise CatalogueError(f"{where} must hold description, held_out and, if within one robot, robot")
     rules = table["held_out"]
     if not isinstance(rules, list) or not all(isinstance(rule, dict) and rule for rule in rules):
         raise CatalogueError(f"{where} held_out must be a list of rules, as {{ category = ['friction'] }}")
+    variants = catalogue(table.get("robot"))
+    held: set[Variant] = set()
     for rule in rules:
         unknown = sorted(set(rule) - set(_RULES))
         if unknown:
             raise CatalogueError(f"{where} unknown rule {unknown[0]!r}; valid: {', '.join(_RULES)}")
-    variants = catalogue(table["robot"])
-    test = tuple(variant for variant in variants if any(_follows(variant, rule) for rule in rules))
-    for rule in rules:
-        if not any(_follows(variant, rule) for variant in variants):
+        followers = {variant for variant in variants if _follows(variant, rule)}
+        if not followers:
             raise CatalogueError(f"{where} no variant follows {rule}")
+        held |= followers
     return HeldOut(
         title,
-        table["robot"],
-        table["description"],
-        tuple(str(variant) for variant in variants if variant not in test),
-        tuple(str(variant) for variant in test),
+        train=tuple(str(variant) for variant in variants if variant not in held),
+        test=tuple(str(variant) for variant in variants if variant in held),
+        description=table["description"],
     )
 
 
 def _follows(variant: Variant, rule: Mapping[str, Any]) -> bool:
-    return all(getattr(variant, name) in wanted for name, wanted in rule.items())
+    return all(
+        (str(variant) if name == "variant" else getattr(variant, name)) in wanted
+        for name, wanted in rule.items()
+    )
 
 
 @cache

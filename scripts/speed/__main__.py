@@ -88,7 +88,7 @@ def _run(wanted: set[str], options: argparse.Namespace) -> list:
         if "combine" in wanted:
             done(datasets.combining_row(ids, rounds))
         if "load" in wanted:
-            done(*datasets.loading_rows(ids, rounds))
+            done(datasets.loading_row(ids, rounds))
         if "sample" in wanted:
             done(*datasets.sampling_rows(ids, rounds))
     if "verify" in wanted:

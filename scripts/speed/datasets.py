@@ -18,9 +18,14 @@ import numpy as np
 import torch
 
 from imujoco_minari.exporting.adapters import to_d3rlpy, to_torchrl
-from imujoco_minari.loading.load import STEP_ARRAYS, Arrays, arrays
-from imujoco_minari.loading.sampling import Sampler, episode_batches, transition_samples
-from imujoco_minari.loading.transitions import pack
+from imujoco_minari.loading import (
+    STEP_ARRAYS,
+    Arrays,
+    Sampler,
+    arrays,
+    episode_batches,
+    transition_samples,
+)
 from imujoco_minari.publishing.combiner import combine_datasets
 from imujoco_minari.storage import file_format, minari_root
 from scripts.speed.measuring import LIMIT, OURS, STOCK, Row, ratio, take_turns, times
@@ -75,14 +80,14 @@ def combining_row(ids: list[str], rounds: int) -> Row:
 
 
 _LOADS = {
-    "base": "import minari; from imujoco_minari.loading.load import arrays; size = 0",
-    OURS: "from imujoco_minari.loading.load import arrays; a = arrays(ids); size = len(a)",
+    "base": "import minari; from imujoco_minari.loading import arrays; size = 0",
+    OURS: "from imujoco_minari.loading import arrays; a = arrays(ids); size = len(a)",
     STOCK: "from scripts.speed.datasets import stock_load; a = stock_load(ids); size = len(a[0])",
 }
 
 
-def loading_rows(ids: list[str], rounds: int) -> list[Row]:
-    """A collection into arrays, against iterating with Minari and ``np.load``; and again from the cache."""
+def loading_row(ids: list[str], rounds: int) -> Row:
+    """A collection into arrays, against iterating with Minari and ``np.load``."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         whole = arrays(ids)
@@ -98,31 +103,20 @@ def loading_rows(ids: list[str], rounds: int) -> list[Row]:
             },
             rounds,
         )
-        arrays(ids, cache=True)
-        cached = take_turns({OURS: lambda: arrays(ids, cache=True)}, rounds)
     memory = {name: _peak_memory(code, ids) for name, code in _LOADS.items()}
-    return [
-        Row(
-            f"load {len(ids)} datasets into arrays ({size / 2**20:.0f} MB)",
-            times(seconds),
-            "s",
-            {
-                "times stock": ratio(seconds[STOCK], seconds[OURS]),
-                "times np.load": ratio(seconds[OURS], seconds[LIMIT]),
-                "peak memory to the arrays": (memory[OURS] - memory["base"]) / size,
-                "the same, stock": (memory[STOCK] - memory["base"]) / size,
-            },
-            {"times stock": ("least", 3.0), "peak memory to the arrays": ("most", 1.3)},
-            "stock iterates and concatenates, next observations too",
-        ),
-        Row(
-            "the same again, from the cache",
-            times(cached, 1000),
-            "ms",
-            {"ms": times(cached, 1000)[OURS]},
-            {"ms": ("most", 50.0)},
-        ),
-    ]
+    return Row(
+        f"load {len(ids)} datasets into arrays ({size / 2**20:.0f} MB)",
+        times(seconds),
+        "s",
+        {
+            "times stock": ratio(seconds[STOCK], seconds[OURS]),
+            "times np.load": ratio(seconds[OURS], seconds[LIMIT]),
+            "peak memory to the arrays": (memory[OURS] - memory["base"]) / size,
+            "the same, stock": (memory[STOCK] - memory["base"]) / size,
+        },
+        {"times stock": ("least", 3.0), "peak memory to the arrays": ("most", 1.3)},
+        "stock iterates and concatenates, next observations too",
+    )
 
 
 def stock_load(ids: list[str]) -> tuple[Any, ...]:
@@ -157,10 +151,7 @@ def _transitions_row(data: Arrays, ids: list[str], rounds: int) -> Row:
     batches = 1000
     dataset = minari.load_dataset(ids[0])
     rng = np.random.default_rng(0)
-
-    packing = take_turns({OURS: lambda: pack(data)}, 1)
-    packed = pack(data)
-    stream, columns = transition_samples(packed, 256), transition_samples(data, 256)
+    stream = transition_samples(data, 256)
 
     def indexing() -> None:
         for _ in range(batches):
@@ -182,7 +173,6 @@ def _transitions_row(data: Arrays, ids: list[str], rounds: int) -> Row:
 
         return run
 
-    ours = {OURS: sampling(partial(next, stream)), "not packed": sampling(partial(next, columns))}
     # The slow ones do a twentieth of the work, which is then counted twenty times.
     slow = {"minari": minari_sampling}
     peers = {"SB3's buffer": sampling(partial(_sb3_buffer(data).sample, 256))}
@@ -195,7 +185,7 @@ def _transitions_row(data: Arrays, ids: list[str], rounds: int) -> Row:
         slow["d3rlpy"] = sampling(partial(to_d3rlpy(data).sample_transition_batch, 256), 20)
     else:
         missing.append("d3rlpy")
-    seconds = take_turns({**ours, **peers, **slow, LIMIT: indexing}, rounds)
+    seconds = take_turns({OURS: sampling(partial(next, stream)), **peers, **slow, LIMIT: indexing}, rounds)
     for name in slow:
         seconds[name] = [value * 20 for value in seconds[name]]
     best = min({**peers, **slow}, key=lambda name: ratio(seconds[name], seconds[OURS]))
@@ -208,9 +198,7 @@ def _transitions_row(data: Arrays, ids: list[str], rounds: int) -> Row:
             "times the best peer": ratio(seconds[best], seconds[OURS]),
             "times indexing": ratio(seconds[OURS], seconds[LIMIT]),
         },
-        {"times the best peer": ("least", 10.0)},
-        f"of {len(data):,}, packed in {times(packing)[OURS]:.2f} s; the best peer is {best}; "
-        "SB3 and TorchRL give torch tensors"
+        notes=f"of {len(data):,}; the best peer is {best}; SB3 and TorchRL give torch tensors"
         + (f"; not installed here: {', '.join(missing)}" if missing else ""),
     )
 

@@ -17,7 +17,7 @@ from imujoco_minari.cli.app import run
 from imujoco_minari.errors import DatasetError, DatasetExistsError, DependencyError, StorageError
 from imujoco_minari.exporting import FORMATS, default_target, export, lerobot, rlds
 from imujoco_minari.exporting.tfrecord import crc32c, example, record
-from imujoco_minari.loading.load import Arrays, arrays
+from imujoco_minari.loading import Arrays, arrays
 from imujoco_minari.storage.targets import new_target
 
 
@@ -218,7 +218,7 @@ def test_states_only_leaves_no_action_and_no_reward(data: Arrays, tmp_path: Path
 
 
 def test_di_engine_refuses_states_alone(data: Arrays, tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match="needs actions: valid for states alone are d4rl"):
+    with pytest.raises(DatasetError, match="requires actions; valid for states only: d4rl"):
         export(data, "di-engine", tmp_path / "x", states_only=True)
     assert list(tmp_path.iterdir()) == []
 

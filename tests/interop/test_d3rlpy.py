@@ -6,7 +6,7 @@ import pytest
 d3rlpy = pytest.importorskip("d3rlpy")
 
 from imujoco_minari.exporting.adapters import to_d3rlpy
-from imujoco_minari.loading.load import arrays
+from imujoco_minari.loading import arrays
 
 
 def test_every_episode_is_whole(truth):

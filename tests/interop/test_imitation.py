@@ -8,7 +8,7 @@ pytest.importorskip("imitation")
 from imitation.data import rollout, serialize, types
 
 from imujoco_minari.exporting.adapters import to_imitation
-from imujoco_minari.loading.load import arrays
+from imujoco_minari.loading import arrays
 
 
 def test_every_trajectory_is_whole(truth):

@@ -6,7 +6,7 @@ import pytest
 pytest.importorskip("tianshou")
 
 from imujoco_minari.exporting.adapters import to_tianshou
-from imujoco_minari.loading.load import arrays
+from imujoco_minari.loading import arrays
 
 
 def test_the_buffer_holds_every_step(truth):

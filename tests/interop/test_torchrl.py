@@ -6,7 +6,7 @@ import pytest
 torchrl = pytest.importorskip("torchrl")
 
 from imujoco_minari.exporting.adapters import to_tensordict, to_torchrl
-from imujoco_minari.loading.load import arrays
+from imujoco_minari.loading import arrays
 
 
 def expected(truth):

@@ -1,11 +1,15 @@
-"""Arrays: what is loaded is what is stored, selected, split, normalised and cached as asked."""
+"""Arrays: what is loaded is what is stored, selected, split, normalised and saved as asked."""
 
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import h5py
 import minari
@@ -13,11 +17,16 @@ import numpy as np
 import pytest
 from synthetic_arrays import BASE, LEG, RANDOM, synthetic
 
-from imujoco_minari.errors import DatasetError, DatasetNotFoundError, StorageError, VariantError
-from imujoco_minari.loading import array_cache, selection
-from imujoco_minari.loading.load import STEP_ARRAYS, Arrays, arrays, measure
+from imujoco_minari.errors import (
+    DatasetError,
+    DatasetExistsError,
+    DatasetNotFoundError,
+    StorageError,
+    VariantError,
+)
+from imujoco_minari.loading import STEP_ARRAYS, Arrays, Sampler, arrays, selection
+from imujoco_minari.loading.statistics import measure
 from imujoco_minari.publishing.combiner import combine_datasets
-from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.storage import minari_root
 
 HOPPER, LEGS, FEET = (
@@ -31,6 +40,11 @@ def assert_same(one: Arrays, other: Arrays) -> None:
     for name in (*STEP_ARRAYS, "episode_starts"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
     assert one.table == other.table
+
+
+def _store(file: h5py.File, name: str, value: object) -> None:
+    del file[name]
+    file[name] = value
 
 
 def main_file(dataset_id: str) -> Path:
@@ -160,7 +174,7 @@ def test_the_test_share_is_scaled_by_the_training_shares_statistics(small_datase
 
 
 def test_statistics_over_many_blocks_are_numpys(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("imujoco_minari.loading.load._BLOCK", 7)
+    monkeypatch.setattr("imujoco_minari.loading.statistics._BLOCK", 7)
     values = np.random.default_rng(0).normal(3.0, 2.0, (100, 4))
     values[:, 3] = 5.0
     statistics = measure(values)
@@ -189,87 +203,85 @@ def test_select_keeps_whole_episodes_in_the_order_given() -> None:
 
 @pytest.mark.parametrize("numbers", [[], [3], [-1]])
 def test_select_refuses_what_is_no_episode(numbers: list[int]) -> None:
-    with pytest.raises(DatasetError, match="numbered 0 to 2"):
+    with pytest.raises(DatasetError, match="valid: 0 to 2"):
         synthetic([3, 2, 4]).select(numbers)
 
 
-def test_a_cached_load_is_mapped_and_equal(small_datasets: list[str], home: Path) -> None:
-    first = arrays(small_datasets, dtype=np.float32, normalize=True, cache=True)
-    entries = list(array_cache.cache_folder().iterdir())
-    assert entries[0].is_relative_to(home)
-    again = arrays(small_datasets, dtype=np.float32, normalize=True, cache=True)
-    assert isinstance(again.observations, np.memmap)
-    assert_same(again, arrays(small_datasets, dtype=np.float32, normalize=True))
-    assert_same(again, first)
+@pytest.mark.parametrize("mmap", [False, True])
+def test_saved_arrays_load_equal(small_datasets: list[str], tmp_path: Path, mmap: bool) -> None:
+    data = arrays(small_datasets, dtype=np.float32, normalize=True)
+    data.save(tmp_path / "some" / "saved")
+    again = Arrays.load(str(tmp_path / "some" / "saved"), mmap=mmap)
+    assert_same(again, data)
+    assert again.observations.dtype == np.float32
+    assert isinstance(again.observations, np.memmap) == mmap
+    assert data.statistics is not None
     assert again.statistics is not None
-    np.testing.assert_array_equal(
-        again.statistics.mean, measure(arrays(small_datasets, dtype=np.float32).observations).mean
-    )
-    assert list(array_cache.cache_folder().iterdir()) == entries
+    np.testing.assert_array_equal(again.statistics.mean, data.statistics.mean)
+    np.testing.assert_array_equal(again.statistics.std, data.statistics.std)
+    assert [path.name for path in (tmp_path / "some").iterdir()] == ["saved"]
 
 
-def test_changing_mapped_arrays_leaves_the_cache_alone(small_datasets: list[str]) -> None:
-    arrays(HOPPER, cache=True).rewards[:] = 0
-    assert_same(arrays(HOPPER, cache=True), arrays(HOPPER))
+def test_changes_to_mapped_arrays_do_not_reach_the_files(tmp_path: Path) -> None:
+    synthetic([3, 2]).save(tmp_path / "saved")
+    Arrays.load(tmp_path / "saved", mmap=True).rewards[:] = 0
+    assert_same(Arrays.load(tmp_path / "saved"), synthetic([3, 2]))
 
 
-def test_whatever_changes_the_result_has_an_entry_of_its_own(small_datasets: list[str]) -> None:
-    options = [
-        {},
-        {"dtype": np.float32},
-        {"portion": (0.0, 0.5)},
-        {"portion": (0.0, 0.5), "seed": 1},
-        {"where": {"tier": "random"}},
-        {"where": {"percent": np.arange(1)}},
-        {"normalize": True},
-        {"normalize": measure(np.arange(22.0).reshape(2, 11))},
-    ]
-    for option in options:
-        assert_same(arrays(HOPPER, cache=True, **option), arrays(HOPPER, **option))
-    assert len(list(array_cache.cache_folder().iterdir())) == len(options)
+def test_saving_replaces_only_saved_arrays_and_only_by_force(tmp_path: Path) -> None:
+    target = tmp_path / "saved"
+    synthetic([3]).save(target)
+    with pytest.raises(DatasetExistsError, match="saved"):
+        synthetic([2]).save(target)
+    assert len(Arrays.load(target)) == 3
+    synthetic([2]).save(target, force=True)
+    assert len(Arrays.load(target)) == 2
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "thesis.tex").touch()
+    with pytest.raises(DatasetExistsError, match="other is not replaced: it is not an export"):
+        synthetic([2]).save(tmp_path / "other", force=True)
+    assert (tmp_path / "other" / "thesis.tex").exists()
 
 
-def test_datasets_of_equal_content_keep_their_own_table(small_datasets: list[str]) -> None:
-    identity = "imujoco/hopper-massinc_0_leggeom-random-v0"
-    publish("hopper-massinc_0_leggeom", tier="random", episodes=8)
-    before, after = arrays(HOPPER, cache=True), arrays(identity, cache=True)
-    np.testing.assert_array_equal(before.observations, after.observations)
-    assert [data.table[0].variant for data in (before, after)] == ["hopper-base", "hopper-massinc_0_leggeom"]
-
-
-def test_a_dataset_without_a_digest_is_known_by_its_file(small_datasets: list[str]) -> None:
-    with h5py.File(main_file(HOPPER), "a") as file:
-        del file.attrs["content_sha256"]
-    arrays(HOPPER, cache=True)
-    with h5py.File(main_file(HOPPER), "a") as file:
-        file["episode_0/rewards"][0] = 123.0
-    assert arrays(HOPPER, cache=True).rewards[0] == 123.0
-
-
-def test_a_linked_collection_is_known_by_what_it_links_to(small_datasets: list[str]) -> None:
-    combine_datasets([HOPPER, LEGS], "imujoco/hopper-some-v0", link=True)
-    source = selection.sources("imujoco/hopper-some-v0")
-    before = array_cache.key(source, {}, (0.0, 1.0), 0, None, False)
-    with h5py.File(main_file(LEGS), "a") as file:
-        file.attrs["content_sha256"] = "another"
-    assert array_cache.key(source, {}, (0.0, 1.0), 0, None, False) != before
-
-
-def test_a_damaged_entry_is_made_anew(small_datasets: list[str]) -> None:
-    arrays(HOPPER, cache=True)
-    (entry,) = array_cache.cache_folder().iterdir()
-    (entry / "rewards.npy").write_bytes(b"")
-    assert_same(arrays(HOPPER, cache=True), arrays(HOPPER))
-    assert isinstance(arrays(HOPPER, cache=True).rewards, np.memmap)
-
-
-def test_a_cache_that_cannot_be_written_is_said(
-    small_datasets: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_arrays_that_cannot_be_saved_leave_nothing(tmp_path: Path) -> None:
+    data = synthetic([3])
+    unpicklable = replace(data, rewards=data.rewards.astype(object))
+    with pytest.raises(ValueError, match="allow_pickle"):
+        unpicklable.save(tmp_path / "saved")
+    assert list(tmp_path.iterdir()) == []
     (tmp_path / "file").touch()
-    monkeypatch.setenv("IMUJOCO_HOME", str(tmp_path / "file"))
-    with pytest.raises(StorageError, match="cannot write to the cache"):
-        arrays(HOPPER, cache=True)
+    with pytest.raises(StorageError, match=r"cannot write .*saved"):
+        data.save(tmp_path / "file" / "saved")
+
+
+def _write_object_array(folder: Path) -> None:
+    np.save(folder / "rewards.npy", np.array([print] * 3, dtype=object), allow_pickle=True)
+
+
+@pytest.mark.parametrize(
+    ("damage", "reason"),
+    [
+        (lambda folder: shutil.rmtree(folder), "No such file"),
+        (lambda folder: (folder / "arrays.json").unlink(), "No such file"),
+        (lambda folder: (folder / "rewards.npy").unlink(), "No such file"),
+        (lambda folder: (folder / "arrays.json").write_text("[]"), "list indices"),
+        (lambda folder: (folder / "arrays.json").write_text("{"), "Expecting"),
+        (lambda folder: (folder / "rewards.npy").write_bytes(b""), "EOF"),
+        (lambda folder: np.save(folder / "rewards.npy", np.zeros(2)), "differ in length"),
+        (_write_object_array, "Python objects"),
+    ],
+)
+@pytest.mark.parametrize("mmap", [False, True])
+def test_a_folder_without_saved_arrays_is_refused_in_one_line(
+    tmp_path: Path, damage: Callable[[Path], object], reason: str, mmap: bool
+) -> None:
+    synthetic([3]).save(tmp_path / "saved")
+    damage(tmp_path / "saved")
+    with pytest.raises(
+        DatasetError, match=f"saved is not a folder that Arrays.save.. wrote: .*{reason}"
+    ) as error:
+        Arrays.load(tmp_path / "saved", mmap=mmap)
+    assert "\n" not in str(error.value)
 
 
 def test_an_unknown_dataset_is_named(small_datasets: list[str]) -> None:
@@ -283,10 +295,14 @@ def test_an_unknown_dataset_is_named(small_datasets: list[str]) -> None:
         ({"categories": "mass"}, r"unknown attribute 'categories' \(did you mean 'category'\?\)"),
         (
             {"category": "mas"},
-            r"no episode has the category 'mas' \(did you mean 'mass'\?\); there are: base, ",
+            r"no episode has the category 'mas' \(did you mean 'mass'\?\); valid: base, ",
         ),
-        ({"percent": "-25"}, "no episode has the percent '-25'.*; there are: -50, -25, 0"),
+        ({"percent": "-25"}, "no episode has the percent '-25'.*; valid: -50, -25, 0"),
         ({"category": "mass", "percent": -50}, "no episode has all of category 'mass', percent -50"),
+        ({"percent": [[-25]]}, r"percent must be a value or a list of values, not \[\[-25\]\]"),
+        ({"percent": []}, "percent must be a value or a list of values"),
+        (3, "where must map attributes to values, as in .*, not 3"),
+        ([], "where must map attributes to values"),
     ],
 )
 def test_a_filter_that_keeps_nothing_says_what_there_is(
@@ -296,10 +312,27 @@ def test_a_filter_that_keeps_nothing_says_what_there_is(
         arrays(small_datasets, where=where)
 
 
-@pytest.mark.parametrize("portion", [(0.5, 0.5), (-0.1, 0.5), (0.5, 1.1), (0.75, 0.25)])
-def test_a_portion_that_is_none_is_refused(small_datasets: list[str], portion: tuple[float, float]) -> None:
-    with pytest.raises(DatasetError, match="portion must lie in 0 to 1"):
-        arrays(HOPPER, portion=portion)
+@pytest.mark.parametrize(
+    ("argument", "message"),
+    [
+        *(
+            ({"portion": portion}, "portion must be two increasing numbers from 0 to 1")
+            for portion in [(0.5, 0.5), (-0.1, 0.5), (0.5, 1.1), (0.75, 0.25), "x", "01", 0.5, None, (0, "a")]
+        ),
+        *(({"seed": seed}, "seed must be a whole number of at least 0") for seed in [-1, 0.5, "x", None]),
+        *(({"dtype": dtype}, "dtype must be a floating-point type") for dtype in ["x", 3, "int8", object]),
+        *(({"normalize": value}, "normalize must be True, False or Statistics") for value in [None, 3, "x"]),
+    ],
+)
+def test_an_argument_that_is_not_valid_is_named(
+    small_datasets: list[str], argument: dict[str, object], message: str
+) -> None:
+    with pytest.raises(DatasetError, match=message) as error:
+        arrays(HOPPER, **argument)  # type: ignore[arg-type]
+    assert "\n" not in str(error.value)
+    if "portion" in argument or "seed" in argument:
+        with pytest.raises(DatasetError, match=message):
+            Sampler(arrays(HOPPER), **argument)  # type: ignore[arg-type]
 
 
 def test_an_empty_portion_is_refused(small_datasets: list[str]) -> None:
@@ -307,21 +340,33 @@ def test_an_empty_portion_is_refused(small_datasets: list[str]) -> None:
         arrays(LEGS, portion=(0.0, 0.1))
 
 
-def test_a_negative_seed_is_refused(small_datasets: list[str]) -> None:
-    with pytest.raises(DatasetError, match="a seed is not negative"):
-        arrays(LEGS, portion=(0.0, 0.5), seed=-1)
-
-
 def test_statistics_of_another_robot_are_refused(small_datasets: list[str]) -> None:
     with pytest.raises(DatasetError, match=r"statistics of \(17,\) do not fit"):
         arrays(HOPPER, normalize=measure(np.zeros((2, 17))))
 
 
-def test_nothing_is_no_dataset() -> None:
-    with pytest.raises(DatasetError, match="no dataset was given"):
-        arrays([])
-    with pytest.raises(DatasetError, match="not int"):
-        arrays(3)  # type: ignore[arg-type]
+@pytest.mark.parametrize("load", [arrays, Sampler])
+@pytest.mark.parametrize(
+    ("datasets", "message"),
+    [
+        ([], "no dataset was given"),
+        (None, "a dataset is a Minari dataset or its id, not NoneType"),
+        (3, "not int"),
+        ([None], "not NoneType"),
+        ("hopper", "malformed dataset id 'hopper'"),
+    ],
+)
+def test_what_is_not_a_dataset_is_refused(load: Callable[[Any], object], datasets: Any, message: str) -> None:
+    with pytest.raises(DatasetError, match=message):
+        load(datasets)
+
+
+def test_a_dataset_that_was_deleted_is_named(small_datasets: list[str]) -> None:
+    dataset = minari.load_dataset(HOPPER)
+    shutil.rmtree(minari_root.dataset_folder(HOPPER))
+    for deleted in (HOPPER, dataset):
+        with pytest.raises(DatasetNotFoundError, match=f"{HOPPER} is not in the Minari root, at .*publish"):
+            arrays(deleted)
 
 
 @pytest.mark.parametrize(
@@ -330,8 +375,18 @@ def test_nothing_is_no_dataset() -> None:
         (lambda f: f.pop("episode_1/rewards"), "episode 1 has no array rewards"),
         (lambda f: f.move("episode_3/actions", "episode_2/actions"), "episode 2: actions are of shape"),
         (lambda f: f.pop("episode_3"), "has no episode 3"),
+        (lambda f: _store(f, "episode_0/rewards", 1.0), "episode 0: rewards are not an array"),
+        (lambda f: _store(f, "episode_1/rewards", 1.0), "episode 1: rewards are not an array"),
+        (lambda f: _store(f, "episode_0/rewards", np.zeros((5, 1))), "rewards must be numbers at each step"),
+        (lambda f: _store(f, "episode_0/actions", np.zeros(5)), "actions must be vectors of numbers"),
+        (
+            lambda f: _store(f, "episode_0/actions", np.full((5, 3), b"x")),
+            "actions must be vectors of numbers",
+        ),
+        (lambda f: _store(f, "episode_0/rewards", h5py.Empty("f8")), "episode 0: rewards are not an array"),
+        (lambda f: f.attrs.__setitem__("percent", "many"), "a percent that is not a whole number"),
+        (lambda f: f.attrs.__setitem__("body", [1, 2]), "attributes that are not text"),
     ],
-    ids=["array", "shape", "episode"],
 )
 def test_a_broken_dataset_is_named(small_datasets: list[str], damage: object, message: str) -> None:
     with h5py.File(main_file(HOPPER), "a") as file:
@@ -342,7 +397,26 @@ def test_a_broken_dataset_is_named(small_datasets: list[str], damage: object, me
         arrays(HOPPER)
 
 
-def test_datasets_of_different_robots_do_not_mix(small_datasets: list[str]) -> None:
+def _set_robot(dataset_id: str, robot: str) -> None:
+    with h5py.File(main_file(dataset_id), "a") as file:
+        file.attrs["robot"] = robot
+
+
+def test_robots_do_not_mix_though_their_shapes_are_equal(small_datasets: list[str]) -> None:
+    _set_robot(LEGS, "walker2d")
+    message = rf"arrays hold one robot, .*several: hopper \({HOPPER}\), walker2d \({LEGS}\)$"
+    with pytest.raises(DatasetError, match=message):
+        arrays(small_datasets)
+    assert arrays(small_datasets, where={"robot": "walker2d"}).episodes == 4
+
+
+def test_an_unknown_robot_does_not_mix_with_a_known_one(small_datasets: list[str]) -> None:
+    _set_robot(LEGS, "")
+    with pytest.raises(DatasetError, match=rf"hopper \({HOPPER}\), unknown \({LEGS}\)$"):
+        arrays([HOPPER, LEGS])
+
+
+def test_datasets_of_different_shapes_do_not_mix(small_datasets: list[str]) -> None:
     with h5py.File(main_file(LEGS), "a") as file:
         for group in file.values():
             wide = np.zeros((len(group["observations"]), 17))

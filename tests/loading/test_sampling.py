@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from itertools import islice
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,19 +15,17 @@ from torch.utils.data import DataLoader
 
 from imujoco_minari.errors import DatasetError, DatasetExistsError, VariantError
 from imujoco_minari.exporting.torch import TransitionDataset, WindowDataset, as_is
-from imujoco_minari.loading.load import Arrays, Transitions
-from imujoco_minari.loading.preferences import preference_pairs
-from imujoco_minari.loading.sampling import (
+from imujoco_minari.loading import (
+    Arrays,
     Sampler,
     episode_batches,
-    gather_episodes,
-    gather_windows,
+    few_shot,
+    preference_pairs,
     transition_batches,
     transition_samples,
     window_batches,
-    window_starts,
 )
-from imujoco_minari.loading.transitions import Packed, pack
+from imujoco_minari.loading.batches import gather_episodes, gather_windows, window_starts
 
 LENGTHS = [5, 3, 7, 4]
 
@@ -37,7 +36,8 @@ def test_a_sample_is_whole_episodes_padded_with_zeros() -> None:
     assert shots.observations.shape == (4, 6, 3)
     assert shots.actions.shape == (4, 6, 2)
     assert shots.observations.dtype == shots.actions.dtype == np.float32
-    for observations, actions, mask in zip(*shots, strict=True):
+    assert shots.variant == BASE.variant
+    for observations, actions, mask in zip(*shots[:3], strict=True):
         episode = int(observations[0, 0])
         steps = min(LENGTHS[episode], 6)
         assert mask.tolist() == [True] * steps + [False] * (6 - steps)
@@ -61,11 +61,14 @@ def test_all_shots_of_a_sample_are_of_one_variant() -> None:
     sampler = Sampler(data, portion=(0.0, 1.0), horizon=3)
     assert len(sampler) == 2
     drawn = {
-        frozenset((s.observations[:, 0, 0] % 2).tolist()) for s in (sampler.sample(3) for _ in range(20))
+        (s.variant, frozenset((s.observations[:, 0, 0] % 2).tolist()))
+        for s in (sampler.sample(3) for _ in range(20))
     }
-    assert drawn == {frozenset({0.0}), frozenset({1.0})}
-    for idx in (1, LEG.variant):
-        assert set((sampler.sample(3, idx=idx).observations[:, 0, 0] % 2).tolist()) == {1.0}
+    assert drawn == {(BASE.variant, frozenset({0.0})), (LEG.variant, frozenset({1.0}))}
+    for idx in (1, np.int64(1), LEG.variant):
+        shots = sampler.sample(3, idx=idx)
+        assert shots.variant == LEG.variant
+        assert set((shots.observations[:, 0, 0] % 2).tolist()) == {1.0}
 
 
 def test_a_seed_repeats_the_draws() -> None:
@@ -98,7 +101,8 @@ def test_a_sampler_takes_dataset_ids(small_datasets: list[str]) -> None:
 
 def test_torch_samples_are_tensors() -> None:
     shots = Sampler(synthetic([3] * 4), horizon=3, torch=True).sample(2)
-    assert all(isinstance(tensor, torch.Tensor) for tensor in shots)
+    assert all(isinstance(tensor, torch.Tensor) for tensor in shots[:3])
+    assert shots.variant == BASE.variant
     assert shots.observations.dtype == torch.float32
 
 
@@ -109,17 +113,110 @@ def test_too_many_shots_are_refused_with_the_count() -> None:
         Sampler(synthetic([3] * 4), horizon=3).sample(4)
 
 
-@pytest.mark.parametrize("idx", [1, -1, "hopper-bas"])
-def test_a_variant_that_is_not_there_is_refused(idx: int | str) -> None:
-    with pytest.raises(VariantError, match=r"hopper-bas|0 to 0"):
+@pytest.mark.parametrize("replace", [False, True])
+def test_a_variant_without_episodes_in_the_portion_is_refused(replace: bool) -> None:
+    sampler = Sampler(synthetic([3] * 9, [BASE] * 8 + [LEG]), portion=(0.0, 0.25), horizon=3)
+    with pytest.raises(DatasetError, match=f"{LEG.variant} has 0 episodes in this portion"):
+        sampler.sample(1, idx=LEG.variant, replace=replace)
+
+
+@pytest.mark.parametrize("idx", [1, -1, "hopper-bas", 0.5, [0]])
+def test_a_variant_that_is_not_there_is_refused(idx: Any) -> None:
+    with pytest.raises(VariantError, match=r"no variant .*; valid: 0 to 0, or hopper-base$"):
         Sampler(synthetic([3] * 4), horizon=3).sample(2, idx=idx)
 
 
-def test_misused_samplers_are_refused() -> None:
-    with pytest.raises(DatasetError, match="horizon must be at least 1"):
-        Sampler(synthetic([3]), horizon=0)
-    with pytest.raises(DatasetError, match="give `where` to arrays"):
+def test_arrays_are_not_filtered_again() -> None:
+    with pytest.raises(DatasetError, match="pass `where` to arrays"):
         Sampler(synthetic([3]), where={"tier": "expert"})
+
+
+@pytest.mark.parametrize("value", [0, -1, 1.5, "5", None])
+def test_a_number_that_is_not_valid_is_named(value: Any) -> None:
+    data = synthetic([3] * 4)
+    calls: dict[str, list[Callable[[], object]]] = {
+        "batch_size": [
+            lambda: transition_batches(data, value),
+            lambda: transition_samples(data, value),
+            lambda: window_batches(data, 2, value),
+            lambda: episode_batches(data, value),
+        ],
+        "length": [
+            lambda: window_batches(data, value, 2),
+            lambda: WindowDataset(data, value),
+            lambda: preference_pairs(data, length=value),
+        ],
+        "horizon": [lambda: Sampler(data, horizon=value)],
+        "tot_shots": [lambda: Sampler(data).sample(value)],
+        "shots": [lambda: few_shot(data, shots=value)],
+        "pairs": [lambda: preference_pairs(data, pairs=value, length=2)],
+    }
+    if value is not None:
+        calls["queries"] = [lambda: few_shot(data, shots=1, queries=value)]
+    if value != 0:
+        calls["seed"] = [
+            lambda: transition_batches(data, 2, seed=value),
+            lambda: transition_samples(data, 2, seed=value),
+            lambda: window_batches(data, 2, 2, seed=value),
+            lambda: episode_batches(data, 2, seed=value),
+            lambda: few_shot(data, shots=1, seed=value),
+            lambda: preference_pairs(data, length=2, seed=value),
+            lambda: data.portion(0.0, 0.5, seed=value),
+        ]
+    for name, functions in calls.items():
+        for function in functions:
+            with pytest.raises(DatasetError, match=f"^{name} must be a whole number of at least [01], not "):
+                function()
+
+
+@pytest.mark.parametrize("data", [None, "imujoco/hopper-base-v0"])
+def test_what_is_not_arrays_is_refused(data: Any) -> None:
+    calls: list[Callable[[], object]] = [
+        lambda: transition_batches(data, 2),
+        lambda: transition_samples(data, 2),
+        lambda: window_batches(data, 2, 2),
+        lambda: episode_batches(data, 2),
+        lambda: few_shot(data),
+        lambda: preference_pairs(data),
+        lambda: TransitionDataset(data),
+        lambda: WindowDataset(data, 2),
+    ]
+    for function in calls:
+        with pytest.raises(DatasetError, match=f"expected the result of arrays.., not {type(data).__name__}"):
+            function()
+
+
+def episodes_of(data: Arrays) -> set[float]:
+    return set(data.observations[:, 0].tolist())
+
+
+def test_support_and_query_partition_every_variant() -> None:
+    data = synthetic([3] * 12, [BASE, LEG] * 6)
+    support, query = few_shot(data, shots=2)
+    np.testing.assert_array_equal(np.bincount(support.episode_variants), [2, 2])
+    np.testing.assert_array_equal(np.bincount(query.episode_variants), [4, 4])
+    assert not episodes_of(support) & episodes_of(query)
+    assert few_shot(data, shots=2, queries=3).query.episodes == 6
+
+
+def test_the_shots_of_a_variant_do_not_depend_on_the_others() -> None:
+    both = few_shot(synthetic([3] * 12, [LEG] * 6 + [BASE] * 6), shots=2, seed=5).support
+    alone = few_shot(synthetic([3] * 6, [LEG] * 6), shots=2, seed=5).support
+    np.testing.assert_array_equal(both.observations[:6], alone.observations)
+
+
+def test_another_seed_draws_other_shots() -> None:
+    data = synthetic([3] * 12)
+    draws = {tuple(sorted(episodes_of(few_shot(data, shots=3, seed=seed).support))) for seed in range(5)}
+    assert len(draws) > 1
+
+
+def test_too_few_episodes_are_refused_with_the_count() -> None:
+    data = synthetic([3] * 4)
+    with pytest.raises(DatasetError, match="hopper-base has 4 episodes; 3 shots and a query set need 5"):
+        few_shot(data, shots=3, queries=2)
+    with pytest.raises(DatasetError, match="need 5"):
+        few_shot(data, shots=4)
 
 
 def test_transition_batches_are_every_step_once() -> None:
@@ -146,40 +243,27 @@ def test_transition_samples_are_drawn_without_end_and_with_replacement() -> None
     again, other = (next(transition_samples(data, 8, seed=seed)).observations for seed in (1, 2))
     np.testing.assert_array_equal(batches[0].observations, again)
     assert not np.array_equal(again, other)
-    for batch, same in zip(batches, transition_samples(pack(data), 8, seed=1), strict=False):
-        np.testing.assert_array_equal(batch.next_observations, same.next_observations)
-
-
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_packed_transitions_make_the_same_batches(dtype: type) -> None:
-    data = synthetic(LENGTHS, truncated=[0, 1, 2, 3])
-    data = replace(data, observations=data.observations.astype(dtype))
-    packed = pack(data)
-    for name in Transitions._fields:
-        # Nothing of the packed rows depends on the arrays any more.
-        np.testing.assert_array_equal(getattr(packed[:], name), getattr(data, name))
-        assert not np.shares_memory(packed.rows, getattr(data, name))
-    assert packed.rows.ctypes.data % 64 == packed.rows.itemsize % 64 == 0
-    batches = zip(transition_batches(data, 8, seed=1), transition_batches(packed, 8, seed=1), strict=True)
-    for batch, same in batches:
-        for column, packed_column in zip(batch, same, strict=True):
-            assert column.dtype == packed_column.dtype
-            np.testing.assert_array_equal(column, packed_column)
 
 
 def test_a_batch_may_be_written_to_without_harm_to_the_data_or_the_next() -> None:
-    packed = pack(synthetic(LENGTHS))
-    before = packed.rows.copy()
-    first, second = islice(transition_batches(packed, 4), 2)
+    data = synthetic(LENGTHS)
+    before = data.observations.copy()
+    first, second = islice(transition_batches(data, 4), 2)
     kept = second.observations.copy()
     first.observations[:] = np.nan
-    np.testing.assert_array_equal(packed.rows, before)
+    np.testing.assert_array_equal(data.observations, before)
     np.testing.assert_array_equal(second.observations, kept)
 
 
-def test_a_packed_row_that_is_not_there_is_refused() -> None:
-    with pytest.raises(IndexError, match="out of bounds"):
-        pack(synthetic([3]))[np.array([3])]
+def test_mapped_arrays_make_the_same_batches(tmp_path: Path) -> None:
+    data = synthetic(LENGTHS, truncated=[0, 1, 2, 3])
+    data.save(tmp_path / "saved")
+    mapped = Arrays.load(tmp_path / "saved", mmap=True)
+    batches = zip(transition_batches(data, 8, seed=1), transition_batches(mapped, 8, seed=1), strict=True)
+    for batch, same in batches:
+        for column, mapped_column in zip(batch, same, strict=True):
+            assert column.dtype == mapped_column.dtype
+            np.testing.assert_array_equal(column, mapped_column)
 
 
 def test_windows_stay_within_their_episode() -> None:
@@ -223,20 +307,9 @@ def test_a_window_longer_than_every_episode_is_refused() -> None:
         window_starts(synthetic(LENGTHS), 8)
 
 
-@pytest.mark.parametrize("size", [0, -1])
-def test_empty_batches_and_windows_are_refused(size: int) -> None:
-    with pytest.raises(DatasetError, match="a batch holds at least one"):
-        transition_batches(synthetic([3]), size)
-    with pytest.raises(DatasetError, match="a batch holds at least one"):
-        transition_samples(synthetic([3]), size)
-    with pytest.raises(DatasetError, match="a window has at least one step"):
-        window_starts(synthetic([3]), size)
-
-
-@pytest.mark.parametrize("prepare", [lambda data: data, pack])
-def test_a_loader_of_transitions_gives_every_step_once(prepare: Callable[[Arrays], Arrays | Packed]) -> None:
+def test_a_loader_of_transitions_gives_every_step_once() -> None:
     data = synthetic(LENGTHS)
-    loader = DataLoader(TransitionDataset(prepare(data)), batch_size=8, shuffle=True, collate_fn=as_is)
+    loader = DataLoader(TransitionDataset(data), batch_size=8, shuffle=True, collate_fn=as_is)
     batches = list(loader)
     assert sum(len(batch["rewards"]) for batch in batches) == len(data)
     seen = torch.cat([batch["observations"] for batch in batches]).numpy()
@@ -296,11 +369,12 @@ def test_preferences_are_saved_whole(tmp_path) -> None:
 
 def test_where_nothing_is_preferred_is_said() -> None:
     data = synthetic([2] * 3)
-    with pytest.raises(DatasetError, match="all stretches of hopper-base rank the same"):
+    with pytest.raises(DatasetError, match="all segments of hopper-base have the same score"):
         preference_pairs(data, length=2)
     with pytest.raises(
-        DatasetError, match=r"the tier 'expert' \(did you mean 'experts'\?\), which is not ranked"
+        DatasetError, match=r"the tier 'expert' \(did you mean 'experts'\?\), which is not in tiers"
     ):
         preference_pairs(data, length=2, tiers=["experts"])
-    with pytest.raises(DatasetError, match="at least one pair"):
-        preference_pairs(data, pairs=0, length=2)
+    for tiers in ("expert", 3, [3]):
+        with pytest.raises(DatasetError, match="tiers must be a list from best to worst"):
+            preference_pairs(data, length=2, tiers=tiers)  # type: ignore[arg-type]

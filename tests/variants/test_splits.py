@@ -1,15 +1,15 @@
-"""Splits: held-out variants that partition the catalogue, shots that partition a variant's episodes."""
+"""Splits: named sets of held-out variants."""
 
 from __future__ import annotations
 
-import numpy as np
-import pytest
-from synthetic_arrays import BASE, LEG, synthetic
+import hashlib
+from typing import Any
 
-from imujoco_minari.errors import CatalogueError, DatasetError, VariantError
-from imujoco_minari.loading.sampling import few_shot
+import pytest
+
+from imujoco_minari.errors import CatalogueError, VariantError
 from imujoco_minari.variants import CATEGORIES, ROBOTS, Variant, catalogue
-from imujoco_minari.variants.splits import held_out, held_out_names, parse_splits
+from imujoco_minari.variants.splits import HeldOut, held_out, held_out_names, parse_splits
 
 SPLIT = '[x-v1]\nrobot = "hopper"\ndescription = "d"\nheld_out = [{ category = ["mass"] }]\n'
 
@@ -18,9 +18,11 @@ SPLIT = '[x-v1]\nrobot = "hopper"\ndescription = "d"\nheld_out = [{ category = [
 def test_every_split_partitions_its_robots_variants(name: str) -> None:
     split = held_out(name)
     assert split.name == name
-    assert name.startswith(f"{split.robot}-")
     assert name.endswith("-v1")
-    assert set(split.train) | set(split.test) == {str(variant) for variant in catalogue(split.robot)}
+    if not name.startswith("robots-"):
+        assert split.robots == (name.split("-")[0],)
+    everything = [str(variant) for robot in split.robots for variant in catalogue(robot)]
+    assert sorted(split.train + split.test) == sorted(everything)
     assert not set(split.train) & set(split.test)
     assert split.train
     assert split.test
@@ -39,7 +41,7 @@ def test_every_body_is_held_out_by_some_split(robot: str) -> None:
     limbs = [
         held_out(name)
         for name in held_out_names(robot)
-        if name.split("-")[1] not in (*CATEGORIES, "extremes")
+        if name.split("-")[1] not in (*CATEGORIES, "extremes", "random")
     ]
     held = {Variant.parse(name).body for split in limbs for name in split.test}
     # Walker2d's feet share their friction, which belongs to neither leg.
@@ -57,12 +59,67 @@ def test_extremes_hold_out_the_largest_changes() -> None:
 
 def test_the_published_splits_stay_as_they_are() -> None:
     sizes = {name: (len(held_out(name).train), len(held_out(name).test)) for name in held_out_names()}
-    assert len(sizes) == 32
+    assert len(sizes) == 38
     assert sizes["hopper-mass-v1"] == (17, 20)
     assert sizes["hopper-leg-v1"] == (28, 9)
     assert sizes["halfcheetah-bfoot-v1"] == (46, 7)
     assert sizes["walker2d-extremes-v1"] == (35, 29)
-    assert sum(test for _, test in sizes.values()) == 372
+    assert sum(test for _, test in sizes.values()) == 372 + 7 + 11 + 13 + 154
+
+
+@pytest.mark.parametrize(
+    ("robot", "held_out_variants", "digest"),
+    [
+        ("hopper", 7, "820492d84bff4125"),
+        ("halfcheetah", 11, "63cf26f5ec4a0694"),
+        ("walker2d", 13, "a99b547d7b155390"),
+    ],
+)
+def test_a_random_fifth_is_fixed_for_ever(robot: str, held_out_variants: int, digest: str) -> None:
+    split = held_out(f"{robot}-random-v1")
+    assert len(split.test) == held_out_variants == round(len(catalogue(robot)) / 5)
+    text = "\n".join([*split.train, "", *split.test])
+    assert hashlib.sha256(text.encode()).hexdigest().startswith(digest)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_a_robot_is_held_out_whole(robot: str) -> None:
+    split = held_out(f"robots-{robot}-v1")
+    assert split.test == tuple(str(variant) for variant in catalogue(robot))
+    assert split.robots == (*(other for other in ROBOTS if other != robot), robot)
+    assert split.name not in held_out_names(robot)
+
+
+def test_a_split_of_ones_own() -> None:
+    own = HeldOut(
+        "mine",
+        train=["hopper-base", Variant.parse("hopper-massinc_30_leggeom")],  # type: ignore[arg-type]
+        test=("imujoco/walker2d-base-v0",),
+    )
+    assert own.train == ("hopper-base", "hopper-massinc_30_leggeom")
+    assert own.test == ("walker2d-base",)
+    assert own.robots == ("hopper", "walker2d")
+
+
+@pytest.mark.parametrize(
+    ("train", "test", "message"),
+    [
+        (["hopper-base"], ["hopper-base"], "hopper-base appears twice in train and test"),
+        (["hopper-base", "imujoco/hopper-base-v0"], ["walker2d-base"], "hopper-base appears twice"),
+        (["hopper-base"], [], "train and test each need at least one variant"),
+        ("hopper-base", ["walker2d-base"], "expected a list of variant ids, not 'hopper-base'"),
+        (None, ["walker2d-base"], "expected a list of variant ids, not None"),
+        (
+            ["hopper-bas"],
+            ["walker2d-base"],
+            r"malformed variant id 'hopper-bas' \(did you mean 'hopper-base'",
+        ),
+        ([None], ["walker2d-base"], "malformed variant id 'None'"),
+    ],
+)
+def test_a_faulty_split_of_ones_own_is_refused(train: Any, test: Any, message: str) -> None:
+    with pytest.raises(VariantError, match=message):
+        HeldOut("mine", train, test)
 
 
 def test_an_unknown_split_gets_the_nearest() -> None:
@@ -70,6 +127,8 @@ def test_an_unknown_split_gets_the_nearest() -> None:
         VariantError, match=r"unknown split 'hopper-mass' \(did you mean 'hopper-mass-v1'\?\)"
     ):
         held_out("hopper-mass")
+    with pytest.raises(VariantError, match="unknown split 'None'"):
+        held_out(None)  # type: ignore[arg-type]
     with pytest.raises(VariantError, match="unknown robot"):
         held_out_names("ant")
 
@@ -78,7 +137,7 @@ def test_an_unknown_split_gets_the_nearest() -> None:
     ("text", "message"),
     [
         ("[", "not TOML"),
-        (SPLIT.replace("description", "describe"), "must hold robot, description and held_out"),
+        (SPLIT.replace("description", "describe"), "must hold description, held_out and"),
         (SPLIT.replace("category", "categories"), "unknown rule 'categories'"),
         (SPLIT.replace('["mass"]', '["maß"]'), "no variant follows"),
         (SPLIT.replace("[{", "{").replace("}]", "}"), "must be a list of rules"),
@@ -87,38 +146,3 @@ def test_an_unknown_split_gets_the_nearest() -> None:
 def test_a_faulty_file_of_splits_is_named(text: str, message: str) -> None:
     with pytest.raises(CatalogueError, match=f"^bad.toml.*{message}"):
         parse_splits(text, "bad.toml")
-
-
-def episodes(data: object) -> set[float]:
-    return set(data.observations[:, 0].tolist())  # type: ignore[attr-defined]
-
-
-def test_support_and_query_partition_every_variant() -> None:
-    data = synthetic([3] * 12, [BASE, LEG] * 6)
-    support, query = few_shot(data, shots=2)
-    np.testing.assert_array_equal(np.bincount(support.episode_variants), [2, 2])
-    np.testing.assert_array_equal(np.bincount(query.episode_variants), [4, 4])
-    assert not episodes(support) & episodes(query)
-    assert few_shot(data, shots=2, queries=3).query.episodes == 6
-
-
-def test_the_shots_of_a_variant_do_not_depend_on_the_others() -> None:
-    both = few_shot(synthetic([3] * 12, [LEG] * 6 + [BASE] * 6), shots=2, seed=5).support
-    alone = few_shot(synthetic([3] * 6, [LEG] * 6), shots=2, seed=5).support
-    np.testing.assert_array_equal(both.observations[:6], alone.observations)
-
-
-def test_another_seed_draws_other_shots() -> None:
-    data = synthetic([3] * 12)
-    draws = {tuple(sorted(episodes(few_shot(data, shots=3, seed=seed).support))) for seed in range(5)}
-    assert len(draws) > 1
-
-
-def test_too_few_episodes_are_refused_with_the_count() -> None:
-    data = synthetic([3] * 4)
-    with pytest.raises(DatasetError, match="hopper-base has 4 episodes, and 3 shots and a query set need 5"):
-        few_shot(data, shots=3, queries=2)
-    with pytest.raises(DatasetError, match="need 5"):
-        few_shot(data, shots=4)
-    with pytest.raises(DatasetError, match="at least one episode"):
-        few_shot(data, shots=0)

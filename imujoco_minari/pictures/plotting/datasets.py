@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imujoco_minari.errors import DatasetError
-from imujoco_minari.loading.load import Arrays, arrays
+from imujoco_minari.loading import Arrays, arrays
 from imujoco_minari.pictures.plotting.quantities import Quantity, action_quantities, observation_quantities
 from imujoco_minari.pictures.plotting.style import (
     BASE_EDGE,
