@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 import imujoco_minari
 
+REPOSITORY = Path(__file__).parents[2]
 HEAVY = ("torch", "jax", "minari", "mujoco", "h5py", "stable_baselines3", "typer")
 
 
@@ -35,3 +38,11 @@ def test_what_is_exported_exists_and_is_documented() -> None:
         assert getattr(imujoco_minari, name).__doc__, name
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = imujoco_minari.nothing
+
+
+def test_pre_commit_runs_the_quick_checks() -> None:
+    hooks = (REPOSITORY / ".pre-commit-config.yaml").read_text("utf-8")
+    checks = (REPOSITORY / "scripts" / "check").read_text("utf-8")
+    quick = re.findall(r"^(?:ruff|lint-imports|mypy)\b.*$", checks, re.M)
+    assert len(quick) == 4
+    assert re.findall(r"entry: \.venv/bin/(.*)", hooks) == quick
