@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import pkgutil
 import re
 import subprocess
 import sys
@@ -46,3 +48,48 @@ def test_pre_commit_runs_the_quick_checks() -> None:
     quick = re.findall(r"^(?:ruff|lint-imports|mypy)\b.*$", checks, re.M)
     assert len(quick) == 4
     assert re.findall(r"entry: \.venv/bin/(.*)", hooks) == quick
+
+
+def missing_imports(source: str) -> list[str]:
+    """Return the names that a script imports from this repository's packages and that do not exist."""
+    names = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            names += [f"{node.module}.{alias.name}" for alias in node.names]
+        elif isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+    return [name for name in names if name.startswith(("imujoco_minari", "scripts")) and not exists(name)]
+
+
+def exists(name: str) -> bool:
+    try:
+        pkgutil.resolve_name(name)
+    except (ImportError, AttributeError):
+        return False
+    return True
+
+
+def is_python(path: Path) -> bool:
+    if path.suffix or not path.is_file():
+        return path.suffix == ".py"
+    return path.read_text("utf-8").startswith("#!/usr/bin/env python")
+
+
+SCRIPTS = [
+    path
+    for folder in ("scripts", "tests/campaigns", "tests/interop")
+    for path in sorted((REPOSITORY / folder).rglob("*"))
+    if is_python(path)
+]
+
+
+@pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.name)
+def test_what_a_script_imports_exists(path: Path) -> None:
+    """The suite runs no benchmark and no campaign, so nothing else notices a module that moved."""
+    assert missing_imports(path.read_text("utf-8")) == []
+
+
+def test_a_missing_import_is_found() -> None:
+    source = "import imujoco_minari.nothing\ndef f():\n    from imujoco_minari.envs import nothing, make\n"
+    assert missing_imports(source) == ["imujoco_minari.nothing", "imujoco_minari.envs.nothing"]
+    assert "generate-docs" in [path.name for path in SCRIPTS]
