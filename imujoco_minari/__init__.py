@@ -1,7 +1,7 @@
 """Minari-compatible dataset publisher for iMuJoCo, a benchmark of perturbed MuJoCo robots.
 
-Importing this package registers every variant of the catalogue with Gymnasium. Anything heavier
-(MuJoCo, Minari, torch) is imported when it is first used.
+Importing this package registers every variant of the catalogue with Gymnasium. MuJoCo, Minari and torch are
+imported when they are first used.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""The command line: parse, call, render. The only place that prints or exits.
+"""The command line: parse the arguments, call the package, show the result.
 
-Each module of this package holds commands that belong together and adds them to :data:`app`.
-Exit codes: 0 done, 1 failed, 2 asked for something that does not exist, 130 interrupted.
+Only this package prints or exits. Each module holds a group of commands and adds them to :data:`app`. Exit
+codes: 0 done, 1 failed, 2 asked for something that does not exist, 130 interrupted.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
 """Variants as Gymnasium environments: from a variant to an MJCF text to an environment.
 
-Datasets store the entry points ``imujoco_minari.envs:HopperVariantEnv`` and so on, so these names stay.
+This package edits the models, registers the environments and compares models in physical quantities.
+Datasets store the entry points ``imujoco_minari.envs:HopperVariantEnv`` and so on, so these names must not
+change.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Ways in: the original's archive, and other datasets of the three robots.
+"""Data from elsewhere: the original archive, and external datasets of the three robots.
 
-Whatever comes from outside is bounded in size before it is read, checked against what it must be, and
-published by the one path that all datasets take.
+Every input is limited in size before it is read and checked before it is used. This package hands its
+episodes to :mod:`imujoco_minari.publishing`, which publishes them as any other dataset.
 """

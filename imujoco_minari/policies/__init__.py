@@ -1,4 +1,8 @@
-"""Policies: a random one, the experts, and actors out of files."""
+"""Policies and what they score: a random policy, the experts, and actors from files.
+
+This package reads and writes policies, chooses the policies of each tier, runs them in environments and
+evaluates them. It knows nothing of datasets.
+"""
 
 from imujoco_minari.policies.actors import LANES, SIZES, Actor, Array, Policy, RandomPolicy
 from imujoco_minari.policies.experts import (

@@ -1,4 +1,5 @@
 """Datasets into the Minari root: publish a recipe, publish given episodes, combine datasets.
 
-All writers go through the one staging and commit of :mod:`imujoco_minari.storage.minari_root`.
+Every dataset is staged, checked and committed in the same way, through
+:mod:`imujoco_minari.storage.minari_root`, so a reader of the root sees whole datasets only.
 """

@@ -1,8 +1,8 @@
-"""Sharing datasets through Minari's remotes, ``hf://user`` and ``gcp://bucket``.
+"""Sharing datasets through Minari's remotes, ``hf://user`` and ``gcp://bucket``: push and pull.
 
-What lies on a remote is stock Minari's layout: ``minari list remote`` and ``minari.download_dataset``
-serve it to people who have no code of ours. Pushing and pulling add what Minari leaves to chance: the
-digests are checked on both ends, and at no moment does a half-written dataset show.
+A remote holds the layout of stock Minari: ``minari list remote`` and ``minari.download_dataset`` work
+without this package. Pushing and pulling also check the digests on both ends, and never show a half-written
+dataset.
 """
 
 from __future__ import annotations

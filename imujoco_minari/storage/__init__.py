@@ -1,4 +1,4 @@
-"""The Minari root and the HDF5 file: where datasets lie, how they appear, how episodes are written and read.
+"""The Minari root and the HDF5 file: where datasets are, how they appear, how episodes are written and read.
 
-Every file that the package makes is written here. Nothing here knows how episodes are made.
+This package writes every file of a dataset. It knows nothing of how episodes are made.
 """

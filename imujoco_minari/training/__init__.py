@@ -1,5 +1,5 @@
-"""Training: an expert for a variant, from scratch or warm-started from the base robot's whole agent.
+"""Training: an expert for a variant, from scratch or starting from an agent of the base robot.
 
-Needs the extra ``[train]`` (SBX, and with it JAX). Nothing here knows of datasets, except that a run
-can be recorded (:mod:`imujoco_minari.training.recording`).
+This package trains agents, selects and evaluates the best one, and stores it as a policy with its training
+record. It requires the extra ``[train]`` (SBX and JAX).
 """

@@ -1,7 +1,7 @@
-"""Variant ids, the catalogue, the robots' pages and the named splits.
+"""Variant ids, the catalogue, the robots' specifications and the named splits.
 
-A variant is a robot with one physical parameter changed. This package names variants and lists them; it knows
-nothing of MuJoCo, Gymnasium or datasets.
+A variant is a robot with one physical parameter changed. This package names variants and lists them; it
+knows nothing of MuJoCo, Gymnasium or datasets.
 """
 
 from imujoco_minari.variants.ids import (

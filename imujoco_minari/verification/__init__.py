@@ -1,8 +1,8 @@
-"""Is a dataset what it says it is? Structure, attributes, digests, and a replay of every episode.
+"""Checks of a dataset: structure, attributes, digests, and a replay of every episode.
 
 The replay resets the variant's environment with each recorded seed, applies the recorded actions and
-compares every observation, reward and flag, bit for bit. It is exact only under the MuJoCo version
-and on the processor architecture that made the dataset; another version is itself a finding.
+compares every observation, reward and flag, bit for bit. It is exact only with the MuJoCo version and on
+the processor architecture that made the dataset; another version is itself a finding.
 """
 
 from __future__ import annotations

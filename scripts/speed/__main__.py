@@ -45,10 +45,9 @@ def main() -> None:
 
 
 def _run(wanted: set[str], options: argparse.Namespace) -> list:
-    from benchmarks import collecting, datasets, starting, training
-
     from imujoco_minari.policies import policies_folder
     from imujoco_minari.variants import ROBOTS, Variant
+    from scripts.speed import collecting, datasets, starting, training
     from scripts.speed.subjects import actor_of, publish_copies, save_actor, stand_in_records
 
     if "train" not in wanted:

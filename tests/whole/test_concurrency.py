@@ -16,17 +16,17 @@ from imujoco_minari.storage import minari_root
 WORKERS = """
 import json, multiprocessing, random, sys, warnings
 import minari
-from imujoco_minari import roots
+from imujoco_minari.storage import minari_root
 from imujoco_minari.errors import DatasetExistsError
 
 def put(dataset_id, mark, replace):
-    with roots.staging(dataset_id) as folder:
+    with minari_root.staging(dataset_id) as folder:
         data = folder / "dataset" / "data"
         data.mkdir(parents=True)
         metadata = {"dataset_id": dataset_id, "mark": mark, "pad": "x" * 9000}
         (data / "metadata.json").write_text(json.dumps(metadata))
         (data / "twin.json").write_text(json.dumps(mark))
-        roots.commit(folder / "dataset", dataset_id, replace=replace)
+        minari_root.commit(folder / "dataset", dataset_id, replace=replace)
 
 def write(worker, queue):
     rng, won = random.Random(worker), []

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import ast
+import pkgutil
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 import imujoco_minari
 
+REPOSITORY = Path(__file__).parents[2]
 HEAVY = ("torch", "jax", "minari", "mujoco", "h5py", "stable_baselines3", "typer")
 
 
@@ -35,3 +40,56 @@ def test_what_is_exported_exists_and_is_documented() -> None:
         assert getattr(imujoco_minari, name).__doc__, name
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = imujoco_minari.nothing
+
+
+def test_pre_commit_runs_the_quick_checks() -> None:
+    hooks = (REPOSITORY / ".pre-commit-config.yaml").read_text("utf-8")
+    checks = (REPOSITORY / "scripts" / "check").read_text("utf-8")
+    quick = re.findall(r"^(?:ruff|lint-imports|mypy)\b.*$", checks, re.M)
+    assert len(quick) == 4
+    assert re.findall(r"entry: \.venv/bin/(.*)", hooks) == quick
+
+
+def missing_imports(source: str) -> list[str]:
+    """Return the names that a script imports from this repository's packages and that do not exist."""
+    names = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            names += [f"{node.module}.{alias.name}" for alias in node.names]
+        elif isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+    return [name for name in names if name.startswith(("imujoco_minari", "scripts")) and not exists(name)]
+
+
+def exists(name: str) -> bool:
+    try:
+        pkgutil.resolve_name(name)
+    except (ImportError, AttributeError):
+        return False
+    return True
+
+
+def is_python(path: Path) -> bool:
+    if path.suffix or not path.is_file():
+        return path.suffix == ".py"
+    return path.read_text("utf-8").startswith("#!/usr/bin/env python")
+
+
+SCRIPTS = [
+    path
+    for folder in ("scripts", "tests/campaigns", "tests/interop")
+    for path in sorted((REPOSITORY / folder).rglob("*"))
+    if is_python(path)
+]
+
+
+@pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.name)
+def test_what_a_script_imports_exists(path: Path) -> None:
+    """The suite runs no benchmark and no campaign, so nothing else notices a module that moved."""
+    assert missing_imports(path.read_text("utf-8")) == []
+
+
+def test_a_missing_import_is_found() -> None:
+    source = "import imujoco_minari.nothing\ndef f():\n    from imujoco_minari.envs import nothing, make\n"
+    assert missing_imports(source) == ["imujoco_minari.nothing", "imujoco_minari.envs.nothing"]
+    assert "generate-docs" in [path.name for path in SCRIPTS]

@@ -1,7 +1,7 @@
 """A static website of the variants: pictures, numbers, returns, and the code that loads them.
 
-:mod:`~imujoco_minari.pictures.gallery.entries` gathers what is known of a variant, ``clips`` draws it,
-``pages`` writes it as HTML, and ``builder`` makes the site of it.
+:mod:`~imujoco_minari.pictures.gallery.entries` collects the facts about a variant, ``clips`` draws it,
+``pages`` writes its HTML, and ``builder`` makes the site.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""Figures of datasets and of policies' transfer, by matplotlib."""
+"""Figures of datasets and of the transfer of policies between variants. Requires matplotlib."""

@@ -1,7 +1,8 @@
 """Pictures and videos of variants, drawn off-screen.
 
-:mod:`~imujoco_minari.pictures.rendering.motion` and ``recorded`` say what moves, ``framing`` where the camera
-stands, ``scene`` how it looks, ``gl`` and ``studio`` draw it, ``film`` lays it out and ``files`` writes it.
+:mod:`~imujoco_minari.pictures.rendering.motion` and ``recorded`` compute the motion, ``framing`` places the
+camera, ``scene`` sets colours and lights, ``gl`` and ``studio`` draw, ``film`` arranges the pictures and
+``files`` writes them.
 """
 
 from __future__ import annotations
