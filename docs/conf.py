@@ -57,8 +57,8 @@ html_theme_options = {
 }
 
 
-# The command line has its own page, docs/cli.md. Delete joining with the package.
-WITHOUT_REFERENCE = {"imujoco_minari.cli", "imujoco_minari.publishing.joining"}
+# The command line has its own page, docs/cli.md.
+WITHOUT_REFERENCE = {"imujoco_minari.cli"}
 
 
 def setup(app):

@@ -17,16 +17,11 @@ MAX_LINES = 350
 SHARED = {
     "Array",
     "Columns",
-    "Episode",
     "Force",
-    "Layout",
-    "Output",
     "Part",
-    "Progress",
     "Source",
-    "Transitions",
 }
-LONG = {"storage/minari_root.py"}
+LONG: set[str] = set()
 
 
 def type_names(source: str) -> Iterator[tuple[str, str]]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from html import escape
 from importlib import resources
+from importlib.metadata import version
 from string import Template
 
-from imujoco_minari import __version__
 from imujoco_minari.envs.differences import Difference
 from imujoco_minari.pictures.gallery.clips import SIZE
 from imujoco_minari.pictures.gallery.entries import RANDOM, Entry, Score
@@ -33,7 +33,7 @@ def index_page(entries: Sequence[Entry]) -> str:
         changed=_plural(changed, "variant"),
         bases=_plural(len(entries) - changed, "base robot"),
         experts=experts,
-        version=escape(__version__),
+        version=escape(version("imujoco-minari")),
         robots=_options((robot, ROBOT_NAMES[robot]) for robot in ROBOTS),
         categories=_options((name, name) for name in (*CATEGORIES, BASE)),
         bodies=_options((name, name) for name in sorted({v.body for v in variants if v.body})),
@@ -61,7 +61,7 @@ def variant_page(entry: Entry, base: Entry | None, neighbours: tuple[Variant | N
     return _template("variant.html").substitute(
         name=escape(str(variant)),
         summary=escape(summary(variant)),
-        version=escape(__version__),
+        version=escape(version("imujoco-minari")),
         category=escape(variant.category),
         figures="\n".join(figures),
         both='<p><button type="button" class="button" id="both">Play both from the start</button></p>'
