@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -26,6 +25,7 @@ from imujoco_minari.remotes.stores import (
     sources_of,
 )
 from imujoco_minari.storage import minari_root
+from imujoco_minari.storage.file_format import file_sha256
 from imujoco_minari.verification import verify
 
 
@@ -160,15 +160,10 @@ def _compare(store: Store, dataset_id: str, folder: Path, remote: str) -> None:
     with tempfile.TemporaryDirectory() as temporary:
         store.download_dataset(dataset_id, Path(temporary))
         for name in FILES:
-            if _sha256(Path(temporary) / dataset_id / name) != _sha256(folder / name):
+            if file_sha256(Path(temporary) / dataset_id / name) != file_sha256(folder / name):
                 raise RemoteError(
                     f"{remote}: {dataset_id}/{name} was read back, and is not what was uploaded; push again"
                 )
-
-
-def _sha256(file: Path) -> str:
-    with file.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _describe(store: Store, remote: str, dataset_ids: Sequence[str]) -> None:
