@@ -140,7 +140,7 @@ def _edit_length(spec: Any, variant: Variant) -> float:
     base = _compiled(spec)
     clearance = lowest_point(base)
     for body in _bodies(spec, variant):
-        _stretch(body, _capsule_axis(base, body.geoms[0].name), variant.factor)
+        _stretch(body, _capsule_axis(base, body.geoms[0].name), variant)
     shift = clearance - lowest_point(_compiled(spec))
     root = spec.bodies[1]
     root.pos = root.pos + [0.0, 0.0, shift]
@@ -190,13 +190,14 @@ def _bodies(spec: Any, variant: Variant) -> list[Any]:
     return bodies
 
 
-def _stretch(body: Any, axis: Array, factor: float) -> None:
-    """Scale the segment of a limb's capsule by ``factor``, radius and density kept.
+def _stretch(body: mujoco.MjsBody, axis: Array, variant: Variant) -> None:
+    """Scale the segment of a limb's capsule by the variant's factor, radius and density kept.
 
     The point of the segment nearest to the limb's joint stays where it is: an end for most limbs, the
     ankle for Hopper's foot, whose heel stands out behind it; the centre for the torso. Child bodies
     move with the end they hang on.
     """
+    factor, root_joints = variant.factor, specification(variant.robot).root_joints
     if factor == 1.0:
         # From mass to density and back would cost the last bit.
         return
@@ -204,7 +205,7 @@ def _stretch(body: Any, axis: Array, factor: float) -> None:
     radius, half = geom.size[0], geom.size[1]
     centre = np.array(geom.pos)
     density = body.mass / _capsule_volume(radius, half)
-    hinges = [joint for joint in body.joints if joint.name not in _ROOT_JOINTS]
+    hinges = [joint for joint in body.joints if joint.name not in root_joints]
     fixed = 0.0 if not hinges else float(np.clip((hinges[0].pos - centre) @ axis, -half, half))
 
     def moved(along: float) -> Array:
@@ -220,9 +221,6 @@ def _stretch(body: Any, axis: Array, factor: float) -> None:
     body.explicitinertial = False
     body.ipos = np.full(3, np.nan)
     body.mass, body.inertia, body.iquat = 0.0, np.zeros(3), [1.0, 0.0, 0.0, 0.0]
-
-
-_ROOT_JOINTS = frozenset({"rootx", "rootz", "rooty"})
 
 
 def _attachment(child: Any) -> Array:

@@ -12,15 +12,9 @@ from typing import Any
 import gymnasium as gym
 from gymnasium.envs.registration import EnvSpec, registry
 
-from imujoco_minari.variants import CATEGORIES, NAMESPACE, ROBOTS, Variant, bases, catalogue
+from imujoco_minari.variants import CATEGORIES, NAMESPACE, ROBOTS, Variant, bases, catalogue, specification
 
 MAX_EPISODE_STEPS = 1000
-
-_CLASS = {
-    "hopper": "HopperVariantEnv",
-    "halfcheetah": "HalfCheetahVariantEnv",
-    "walker2d": "Walker2dVariantEnv",
-}
 
 
 def environment_spec(variant: Variant | str) -> EnvSpec:
@@ -33,7 +27,7 @@ def environment_spec(variant: Variant | str) -> EnvSpec:
         variant = Variant.parse(variant)
     return EnvSpec(
         id=variant.environment_id,
-        entry_point=f"imujoco_minari.envs:{_CLASS[variant.robot]}",
+        entry_point=f"imujoco_minari.envs:{specification(variant.robot).title}VariantEnv",
         max_episode_steps=MAX_EPISODE_STEPS,
         kwargs={"variant": str(variant)},
     )

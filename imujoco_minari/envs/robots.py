@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from functools import lru_cache
-from typing import Any
+from typing import Any, cast
 
 import gymnasium as gym
 import mujoco
@@ -19,9 +19,11 @@ from gymnasium.envs.mujoco.half_cheetah_v5 import HalfCheetahEnv
 from gymnasium.envs.mujoco.hopper_v5 import HopperEnv
 from gymnasium.envs.mujoco.mujoco_env import MujocoEnv
 from gymnasium.envs.mujoco.walker2d_v5 import Walker2dEnv
+from gymnasium.envs.registration import load_env_creator
 from gymnasium.utils import EzPickle
 
 from imujoco_minari.envs import mjcf
+from imujoco_minari.envs.registration import environment_spec
 from imujoco_minari.errors import VariantError, suggestion
 from imujoco_minari.variants import Variant, specification
 
@@ -137,13 +139,6 @@ class Walker2dVariantEnv(ClippedVelocity, VariantEnv, Walker2dEnv):
     robot_environment = "Walker2d-v5"
 
 
-ENVIRONMENTS: dict[str, type[VariantEnv]] = {
-    "hopper": HopperVariantEnv,
-    "halfcheetah": HalfCheetahVariantEnv,
-    "walker2d": Walker2dVariantEnv,
-}
-
-
 class CollectionEnv(gym.Env[Any, Any], EzPickle):
     """One robot in many variants, one of them an episode.
 
@@ -225,4 +220,5 @@ class CollectionEnv(gym.Env[Any, Any], EzPickle):
         return self._environments[name]
 
     def _make(self, name: str) -> VariantEnv:
-        return ENVIRONMENTS[Variant.parse(name).robot](name, **self._kwargs)
+        spec = environment_spec(name)
+        return cast(VariantEnv, load_env_creator(str(spec.entry_point))(**spec.kwargs, **self._kwargs))

@@ -20,11 +20,11 @@ from imujoco_minari.importing.columns import ARRAY, Layout, read_table
 from imujoco_minari.importing.physics import Physics
 from imujoco_minari.importing.safe_unpack import Array, read_npz
 from imujoco_minari.importing.transitions import Cut, Transitions, cut, episodes, fidelity
-from imujoco_minari.policies import SIZES, Policy, RandomPolicy, read_actor
+from imujoco_minari.policies import Policy, RandomPolicy, read_actor
 from imujoco_minari.policies.rollouts import episode_seed, evaluate
 from imujoco_minari.publishing.publisher import External, Published, publish_episodes
 from imujoco_minari.storage import file_format
-from imujoco_minari.variants import EXPERT
+from imujoco_minari.variants import EXPERT, specification
 from imujoco_minari.variants.original import CATALOGUE, ORIGINAL, RECOLLECTED, OriginalVariant
 
 AUTHORS = frozenset({"Massimiliano Patacchiola", "Mingfei Sun", "Katja Hofmann", "Richard E. Turner"})
@@ -170,9 +170,9 @@ def _attributes(variant: OriginalVariant, tier: str) -> dict[str, Any]:
 
 def _common(variant: OriginalVariant, spec: EnvSpec, source: str) -> dict[str, Any]:
     """Return the metadata that imported and recollected datasets share."""
-    env = gym.make(spec)
+    env, policy = gym.make(spec), RandomPolicy(specification(variant.robot).action_size)
     try:
-        random = evaluate(env, RandomPolicy(SIZES[variant.robot][1]), episodes=REFERENCE_EPISODES)
+        random = evaluate(env, policy, episodes=REFERENCE_EPISODES)
     finally:
         env.close()
     names = ("imujoco-minari", "mujoco", "gymnasium", "minari", "numpy")

@@ -1,6 +1,6 @@
 """Policies: a random one, the experts, and actors out of files."""
 
-from imujoco_minari.policies.actors import LANES, SIZES, Actor, Array, Policy, RandomPolicy
+from imujoco_minari.policies.actors import LANES, Actor, Array, Policy, RandomPolicy
 from imujoco_minari.policies.experts import (
     agent_file,
     expert_actor,
@@ -14,7 +14,6 @@ from imujoco_minari.policies.files import read_actor
 
 __all__ = [
     "LANES",
-    "SIZES",
     "Actor",
     "Array",
     "Policy",

@@ -13,9 +13,8 @@ from typing import Any
 
 from imujoco_minari.envs.registration import collection_spec, environment_spec
 from imujoco_minari.errors import ImujocoError
-from imujoco_minari.policies import SIZES
 from imujoco_minari.storage import file_format
-from imujoco_minari.variants import Variant
+from imujoco_minari.variants import Variant, specification
 from imujoco_minari.variants.original import (
     CATALOGUE,
     OriginalVariant,
@@ -156,7 +155,7 @@ def is_collection(metadata: Mapping[str, Any]) -> bool:
 
 
 def _spaces(metadata: Mapping[str, Any], variant: Variant) -> Iterator[Finding]:
-    for key, size in zip(_SPACES, SIZES[variant.robot], strict=True):
+    for key, size in zip(_SPACES, specification(variant.robot).sizes, strict=True):
         shape = json.loads(metadata[key])["shape"]
         if shape != [size]:
             yield Finding(f"metadata.json/{key}", f"is of shape {shown(shape)}, not [{size}]")

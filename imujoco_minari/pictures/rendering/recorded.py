@@ -18,7 +18,7 @@ from imujoco_minari.envs.registration import make
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError
 from imujoco_minari.pictures.rendering.motion import Motion, PositionRecorder, timestep
 from imujoco_minari.storage import file_format, minari_root
-from imujoco_minari.variants import Variant
+from imujoco_minari.variants import Variant, specification
 from imujoco_minari.variants.original import is_original
 
 Array = NDArray[Any]
@@ -75,8 +75,8 @@ class Recorded:
 
     def _observed(self) -> Motion:
         step = timestep(self.variant)
-        # An observation is all positions but the first, then as many velocities and one more.
-        others = (self.observations.shape[1] - 1) // 2
+        # All positions but the first come before the velocities.
+        others = specification(self.variant.robot).forward_velocity
         run = np.concatenate([[0.0], np.cumsum(self.observations[1:, others]) * step])
         positions = np.column_stack([run, self.observations[:, :others]]).astype(np.float64)
         title = f"{self.title}, as observed"

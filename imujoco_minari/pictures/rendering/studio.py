@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from imujoco_minari.pictures.rendering.framing import AZIMUTH, ELEVATION, Camera
 from imujoco_minari.pictures.rendering.gl import new_context
 from imujoco_minari.pictures.rendering.scene import scene_model
-from imujoco_minari.variants import Variant
+from imujoco_minari.variants import Variant, bases
 
 Image = NDArray[np.uint8]
 
@@ -36,9 +36,7 @@ class Studio:
         self.width, self.height, self._fine = width, height, fine
         self._models: dict[Variant, Any] = {}
         self._gl = new_context(width, height)
-        self._context = mujoco.MjrContext(
-            self.model(Variant("hopper", "base", 0, "")), mujoco.mjtFontScale.mjFONTSCALE_100.value
-        )
+        self._context = mujoco.MjrContext(self.model(bases()[0]), mujoco.mjtFontScale.mjFONTSCALE_100.value)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
 
     def __enter__(self) -> Studio:
