@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from imujoco_minari.errors import ModelError
 from imujoco_minari.variants import BASE, Variant, specification
+from imujoco_minari.variants.original import OriginalVariant
 
 Array = NDArray[np.float64]
 
@@ -31,6 +32,23 @@ def canonical_mjcf(variant: Variant) -> str:
         ModelError: when MuJoCo cannot compile the edited model.
     """
     return _edited(variant)[0]
+
+
+def model_text(variant: Variant, mjcf: str | None = None) -> str:
+    """Return the MJCF text that an environment of ``variant`` runs.
+
+    Args:
+        variant: ours, with the canonical text, or a variant of the original archive.
+        mjcf: the text of the latter, which does not follow from its id.
+
+    Raises:
+        ModelError: when a variant of the archive has no text.
+    """
+    if not isinstance(variant, OriginalVariant):
+        return canonical_mjcf(variant)
+    if mjcf is None:
+        raise ModelError(f"{variant} is a variant of the original archive and needs the text of its model")
+    return mjcf
 
 
 def mjcf_sha256(text: str) -> str:

@@ -7,7 +7,7 @@ the healthy height range) differs. :class:`CollectionEnv` is the environment of 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from functools import lru_cache
 from typing import Any, cast
@@ -22,10 +22,12 @@ from gymnasium.envs.mujoco.walker2d_v5 import Walker2dEnv
 from gymnasium.envs.registration import load_env_creator
 from gymnasium.utils import EzPickle
 
-from imujoco_minari.envs import mjcf
+from imujoco_minari.envs.external_mjcf import check_text
+from imujoco_minari.envs.mjcf import compile_mjcf, healthy_z_range, model_text
 from imujoco_minari.envs.registration import environment_spec
 from imujoco_minari.errors import VariantError, suggestion
 from imujoco_minari.variants import Variant, specification
+from imujoco_minari.variants.original import OriginalVariant
 
 # As arrays: NumPy takes half a microsecond to convert the same number at each call.
 _LOWEST_VELOCITY, _HIGHEST_VELOCITY = np.array(-10.0), np.array(10.0)
@@ -34,7 +36,7 @@ _LOWEST_VELOCITY, _HIGHEST_VELOCITY = np.array(-10.0), np.array(10.0)
 @lru_cache(maxsize=4)
 def _compiled(text: str) -> Any:
     """Compile a model once for the environments that step it side by side, each in a copy of its own."""
-    return mjcf.compile_mjcf(text)
+    return compile_mjcf(text)
 
 
 class VariantEnv(MujocoEnv, EzPickle):
@@ -42,24 +44,30 @@ class VariantEnv(MujocoEnv, EzPickle):
 
     Args:
         variant: a variant id, as in ``hopper-massdec_25_leggeom``.
+        mjcf: the text of the model, for a variant of the original archive. It may come from anywhere.
         **kwargs: what Gymnasium's environment of the robot takes, ``render_mode`` among them.
 
     Attributes:
         variant: the :class:`~imujoco_minari.variants.ids.Variant`.
-        mjcf: the canonical MJCF text that the simulation runs.
+        mjcf: the MJCF text that the simulation runs.
+
+    Raises:
+        VariantError: when ``variant`` is not the id of a variant of the class's robot.
+        ModelError: when the text is refused.
     """
 
-    def __init__(self, variant: str, **kwargs: Any) -> None:
-        self.variant = Variant.parse(variant)
-        robot = specification(self.variant.robot)
-        if robot.environment != self.robot_environment:
-            raise VariantError(f"{variant!r} is no variant of {self.robot_environment}")
-        self.mjcf = mjcf.canonical_mjcf(self.variant)
-        z_range = mjcf.healthy_z_range(self.variant)
+    def __init__(self, variant: str, mjcf: str | None = None, **kwargs: Any) -> None:
+        self.variant = (Variant if mjcf is None else OriginalVariant).parse(variant)
+        if specification(self.variant.robot).environment != self.robot_environment:
+            raise VariantError(f"{variant!r} is not a variant of {self.robot_environment}")
+        if mjcf is not None:
+            check_text(mjcf, variant)
+        self.mjcf = model_text(self.variant, mjcf)
+        z_range = healthy_z_range(self.variant if mjcf is None else self.variant.base)
         defaults = {} if z_range is None else {"healthy_z_range": z_range}
         super().__init__(**(defaults | kwargs))
         # The parent recorded its own arguments for pickling; these make this environment again.
-        EzPickle.__init__(self, variant, **kwargs)
+        EzPickle.__init__(self, variant, mjcf, **kwargs)
 
     robot_environment: str
     _ctrl_cost_weight: float
@@ -147,24 +155,30 @@ class CollectionEnv(gym.Env[Any, Any], EzPickle):
 
     Args:
         variants: ids of variants of one robot.
+        models: id -> MJCF text in place of ``variants``, for variants of the original archive.
         **kwargs: passed to each variant's environment.
+
+    Raises:
+        VariantError: when the ids are not of variants of one robot.
     """
 
     metadata = {  # noqa: RUF012
         "render_modes": ["human", "rgb_array", "depth_array", "rgbd_tuple"]
     }
 
-    def __init__(self, variants: Sequence[str], **kwargs: Any) -> None:
-        EzPickle.__init__(self, variants, **kwargs)
-        self._begin([Variant.parse(variant) for variant in variants], kwargs)
-
-    def _begin(self, variants: Sequence[Variant], kwargs: dict[str, Any]) -> None:
-        robots = sorted({variant.robot for variant in variants})
+    def __init__(
+        self, variants: Sequence[str] = (), models: Mapping[str, str] | None = None, **kwargs: Any
+    ) -> None:
+        EzPickle.__init__(self, variants, models, **kwargs)
+        self._models = dict(models or {})
+        kind = OriginalVariant if self._models else Variant
+        parsed = [kind.parse(variant) for variant in self._models or variants]
+        robots = sorted({variant.robot for variant in parsed})
         if len(robots) != 1:
             raise VariantError(
                 f"a collection holds variants of one robot, not of {', '.join(robots) or 'none'}"
             )
-        self.variants = tuple(str(variant) for variant in variants)
+        self.variants = tuple(str(variant) for variant in parsed)
         self.render_mode = kwargs.get("render_mode")
         self._kwargs = kwargs
         self._environments: dict[str, VariantEnv] = {}
@@ -216,9 +230,7 @@ class CollectionEnv(gym.Env[Any, Any], EzPickle):
 
     def _environment(self, name: str) -> VariantEnv:
         if name not in self._environments:
-            self._environments[name] = self._make(name)
+            spec = environment_spec(name, self._models.get(name))
+            creator = load_env_creator(str(spec.entry_point))
+            self._environments[name] = cast(VariantEnv, creator(**spec.kwargs, **self._kwargs))
         return self._environments[name]
-
-    def _make(self, name: str) -> VariantEnv:
-        spec = environment_spec(name)
-        return cast(VariantEnv, load_env_creator(str(spec.entry_point))(**spec.kwargs, **self._kwargs))

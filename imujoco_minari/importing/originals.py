@@ -14,6 +14,7 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from minari.data_collector import EpisodeBuffer
 
+from imujoco_minari.envs import environment_spec
 from imujoco_minari.errors import DatasetError, ImujocoError
 from imujoco_minari.importing.archive import Archive
 from imujoco_minari.importing.columns import ARRAY, Layout, read_table
@@ -85,7 +86,7 @@ def import_variant(archive: Archive, variant: OriginalVariant, how: Import) -> P
     with member.on_disk() as path:
         table, digest = _table(path, str(member)), _sha256(path)
     transitions, layout, checks = read_table(table, variant.robot, str(member), how.columns)
-    spec = variant.environment_spec(mjcf)
+    spec = environment_spec(variant, mjcf)
     with Physics(spec) as physics:
         found = cut(transitions, physics)
         near = fidelity(transitions, found, physics)
@@ -115,7 +116,7 @@ def recollect(archive: Archive, variant: OriginalVariant, how: Import) -> Publis
         policy = read_actor(path)
         digest = _sha256(path)
     policy.check(variant.robot)
-    spec = variant.environment_spec(mjcf)
+    spec = environment_spec(variant, mjcf)
     metadata = _common(variant, spec, source) | {
         "algorithm_name": policy.algorithm,
         "description": (

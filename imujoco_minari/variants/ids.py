@@ -10,6 +10,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import ClassVar
 
 from imujoco_minari.errors import VariantError, clipped, suggestion
 from imujoco_minari.variants.robots import CATEGORIES, ROBOTS, specification
@@ -32,7 +33,7 @@ class Variant:
     """One robot with one physical parameter changed, or the unchanged base robot.
 
     Attributes:
-        robot: ``hopper``, ``halfcheetah`` or ``walker2d``.
+        robot: one of ``ROBOTS``, as in ``hopper``.
         category: ``mass``, ``joint``, ``length`` or ``friction``; ``base`` for the base robot.
         percent: signed change in percent of the base value; 0 for the base robot.
         body: the MJCF name without underscores, ``feet`` for friction; empty for the base robot.
@@ -40,6 +41,9 @@ class Variant:
     Raises:
         VariantError: when the four do not name a variant.
     """
+
+    # Of the ids of environments and datasets; those of other catalogues differ.
+    namespace: ClassVar[str] = NAMESPACE
 
     robot: str
     category: str
@@ -148,7 +152,7 @@ class Variant:
     @property
     def environment_id(self) -> str:
         """The Gymnasium id, ``imujoco/<variant>-v0``."""
-        return f"{NAMESPACE}/{self}-v0"
+        return f"{self.namespace}/{self}-v0"
 
     def dataset_id(self, tier: str = EXPERT) -> str:
         """The Minari id of this variant's data of ``tier``; the expert's is the plain id.
@@ -161,7 +165,7 @@ class Variant:
                 f"malformed tier {clipped(tier)!r}; valid: lower-case words, as in expert, medium, random"
             )
         suffix = "" if tier == EXPERT else f"-{tier}"
-        return f"{NAMESPACE}/{self}{suffix}-v0"
+        return f"{self.namespace}/{self}{suffix}-v0"
 
 
 def catalogue(robot: str | None = None, category: str | None = None) -> tuple[Variant, ...]:

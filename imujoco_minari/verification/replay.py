@@ -12,15 +12,14 @@ import numpy as np
 
 from imujoco_minari.envs.registration import make
 from imujoco_minari.storage import file_format
-from imujoco_minari.variants import Variant
-from imujoco_minari.variants.original import OriginalVariant, variant_of
+from imujoco_minari.variants.original import variant_of
 from imujoco_minari.verification.findings import Finding
 
 
 def replay(
     file: h5py.File,
     episodes: range,
-    originals: Mapping[OriginalVariant, str],
+    models: Mapping[str, str],
     on_episode: Callable[[], None] | None,
 ) -> Iterator[Finding]:
     """Replay episodes from their seeds and actions and compare, bit for bit.
@@ -28,7 +27,7 @@ def replay(
     Args:
         file: the open HDF5 file.
         episodes: numbers of those to replay; imported ones, which have no seed, are passed over.
-        originals: the models of the original's variants, which do not follow from their ids.
+        models: variant id -> MJCF text, where models do not follow from the ids.
         on_episode: called after each.
     """
     environments: dict[str, gym.Env[Any, Any]] = {}
@@ -38,19 +37,13 @@ def replay(
             name = str(group.attrs["variant"])
             if group.attrs.get(file_format.REPLAYABLE, True):
                 if name not in environments:
-                    environments[name] = _environment(variant_of(group.attrs), originals)
+                    environments[name] = make(variant_of(group.attrs), models.get(name))
                 yield from _replay_episode(group, f"episode_{number}", environments[name])
             if on_episode is not None:
                 on_episode()
     finally:
         for env in environments.values():
             env.close()
-
-
-def _environment(variant: Variant, originals: Mapping[OriginalVariant, str]) -> gym.Env[Any, Any]:
-    if isinstance(variant, OriginalVariant):
-        return gym.make(variant.environment_spec(originals[variant]))
-    return make(variant)
 
 
 def _replay_episode(group: h5py.Group, name: str, env: gym.Env[Any, Any]) -> Iterator[Finding]:

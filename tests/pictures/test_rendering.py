@@ -152,7 +152,11 @@ def test_an_episode_that_does_not_say_how_it_was_made_is_named() -> None:
         replay(published.dataset_id)
     with h5py.File(published.path / "data" / "main_data.hdf5", "a") as file:
         file["episode_0"].attrs["catalogue"] = "imujoco-original"
-    with pytest.raises(DatasetError, match="of the original's archive"):
+    with pytest.raises(DatasetError, match=r"episode 0 cannot be read: .*seed"):
+        replay(published.dataset_id)
+    with h5py.File(published.path / "data" / "main_data.hdf5", "a") as file:
+        file["episode_0"].attrs["seed"] = 0
+    with pytest.raises(VariantError, match="needs the text of its model"):
         replay(published.dataset_id)
 
 
