@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -37,7 +36,7 @@ def differences(variant: Variant) -> list[Difference]:
     return found
 
 
-def model_differences(before: Any, after: Any) -> list[Difference]:
+def model_differences(before: mujoco.MjModel, after: mujoco.MjModel) -> list[Difference]:
     """Return the quantities in which two compiled models of one robot differ.
 
     Geoms and joints are matched by name. Contact friction is that between each geom and the floor.
@@ -66,7 +65,7 @@ def model_differences(before: Any, after: Any) -> list[Difference]:
     return pairs
 
 
-def _friction(model: Any, name: str) -> float:
+def _friction(model: mujoco.MjModel, name: str) -> float:
     """Return the sliding friction of the contact between a geom and the floor, by MuJoCo's rules."""
     geom, floor = model.geom(name), model.geom("floor")
     for i in range(model.npair):

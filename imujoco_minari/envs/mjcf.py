@@ -11,7 +11,6 @@ import hashlib
 from collections.abc import Callable
 from functools import lru_cache
 from importlib import resources
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -74,8 +73,8 @@ def root_shift(variant: Variant) -> float:
     return _edited(variant)[1]
 
 
-def compile_mjcf(text: str) -> Any:
-    """Return the ``mujoco.MjModel`` of an MJCF text.
+def compile_mjcf(text: str) -> mujoco.MjModel:
+    """Compile an MJCF text.
 
     Raises:
         ModelError: when MuJoCo cannot compile it.
@@ -86,7 +85,7 @@ def compile_mjcf(text: str) -> Any:
         raise ModelError(f"MuJoCo cannot compile the model: {error}") from None
 
 
-def lowest_point(model: Any) -> float:
+def lowest_point(model: mujoco.MjModel) -> float:
     """Return the height (m) of the lowest point of the robot's capsules in the rest pose, floor at 0."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -106,13 +105,13 @@ def _edited(variant: Variant) -> tuple[str, float]:
         raise ModelError(f"{variant}: MuJoCo cannot compile the edited model: {error}") from None
 
 
-def _baked(robot: str) -> Any:
+def _baked(robot: str) -> mujoco.MjSpec:
     """Return the base robot's spec with its compiled inertias written out."""
     asset = resources.files("gymnasium.envs.mujoco") / "assets" / specification(robot).model
     return bake(asset.read_text("utf-8"))
 
 
-def bake(text: str) -> Any:
+def bake(text: str) -> mujoco.MjSpec:
     """Return the ``mujoco.MjSpec`` of an MJCF text whose bodies all have names, inertias written out."""
     spec = mujoco.MjSpec.from_string(text)
     # to_xml() would otherwise round what it writes to six digits.
@@ -132,12 +131,12 @@ def bake(text: str) -> Any:
     return spec
 
 
-def _compiled(spec: Any) -> Any:
+def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
     """Return the model of a spec as it stands; compiling the spec itself would settle its inertias."""
     return spec.copy().compile()
 
 
-def _edit_mass(spec: Any, variant: Variant) -> float:
+def _edit_mass(spec: mujoco.MjSpec, variant: Variant) -> float:
     """Scale the mass of the body's one geom, and its inertia with it."""
     for body in _bodies(spec, variant):
         body.mass *= variant.factor
@@ -145,7 +144,7 @@ def _edit_mass(spec: Any, variant: Variant) -> float:
     return 0.0
 
 
-def _edit_joint(spec: Any, variant: Variant) -> float:
+def _edit_joint(spec: mujoco.MjSpec, variant: Variant) -> float:
     """Scale both ends of the joint's range."""
     for name in variant.mjcf_names:
         joint = spec.joint(name)
@@ -153,7 +152,7 @@ def _edit_joint(spec: Any, variant: Variant) -> float:
     return 0.0
 
 
-def _edit_length(spec: Any, variant: Variant) -> float:
+def _edit_length(spec: mujoco.MjSpec, variant: Variant) -> float:
     """Stretch the capsule away from its joint, move what hangs on it, and stand the robot on the floor."""
     base = _compiled(spec)
     clearance = lowest_point(base)
@@ -170,7 +169,7 @@ def _edit_length(spec: Any, variant: Variant) -> float:
     return shift
 
 
-def _edit_friction(spec: Any, variant: Variant) -> float:
+def _edit_friction(spec: mujoco.MjSpec, variant: Variant) -> float:
     """Give the contacts between feet and floor, and only those, a scaled sliding friction.
 
     A contact takes the larger of its two geoms' frictions, so a smaller one on the foot alone would
@@ -192,7 +191,7 @@ def _edit_friction(spec: Any, variant: Variant) -> float:
     return 0.0
 
 
-_EDITS: dict[str, Callable[[Any, Variant], float]] = {
+_EDITS: dict[str, Callable[[mujoco.MjSpec, Variant], float]] = {
     "mass": _edit_mass,
     "joint": _edit_joint,
     "length": _edit_length,
@@ -200,7 +199,7 @@ _EDITS: dict[str, Callable[[Any, Variant], float]] = {
 }
 
 
-def _bodies(spec: Any, variant: Variant) -> list[Any]:
+def _bodies(spec: mujoco.MjSpec, variant: Variant) -> list[mujoco.MjsBody]:
     bodies = [spec.geom(name).parent for name in variant.mjcf_names]
     for body in bodies:
         if len(body.geoms) != 1:
@@ -241,13 +240,13 @@ def _stretch(body: mujoco.MjsBody, axis: Array, variant: Variant) -> None:
     body.mass, body.inertia, body.iquat = 0.0, np.zeros(3), [1.0, 0.0, 0.0, 0.0]
 
 
-def _attachment(child: Any) -> Array:
+def _attachment(child: mujoco.MjsBody) -> Array:
     """Return where (m, in the parent's frame) a child body is hinged to its parent."""
     # None of the robots' bodies is rotated against its parent in the rest pose.
     return np.asarray(child.pos + child.joints[0].pos, dtype=np.float64)
 
 
-def _capsule_axis(model: Any, name: str) -> Array:
+def _capsule_axis(model: mujoco.MjModel, name: str) -> Array:
     """Return the unit vector of a capsule's axis in its body's frame."""
     axis = np.empty(3)
     mujoco.mju_rotVecQuat(axis, np.array([0.0, 0.0, 1.0]), model.geom(name).quat)

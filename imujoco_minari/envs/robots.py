@@ -21,20 +21,23 @@ from gymnasium.envs.mujoco.mujoco_env import MujocoEnv
 from gymnasium.envs.mujoco.walker2d_v5 import Walker2dEnv
 from gymnasium.envs.registration import load_env_creator
 from gymnasium.utils import EzPickle
+from numpy.typing import NDArray
 
-from imujoco_minari.envs.external_mjcf import check_text
+from imujoco_minari.envs.external_mjcf import check_mjcf
 from imujoco_minari.envs.mjcf import compile_mjcf, healthy_z_range, model_text
 from imujoco_minari.envs.registration import environment_spec
 from imujoco_minari.errors import VariantError, suggestion
 from imujoco_minari.variants import Variant, specification
 from imujoco_minari.variants.original import OriginalVariant
 
+Array = NDArray[Any]
+
 # As arrays: NumPy takes half a microsecond to convert the same number at each call.
 _LOWEST_VELOCITY, _HIGHEST_VELOCITY = np.array(-10.0), np.array(10.0)
 
 
 @lru_cache(maxsize=4)
-def _compiled(text: str) -> Any:
+def _compiled(text: str) -> mujoco.MjModel:
     """Compile a model once for the environments that step it side by side, each in a copy of its own."""
     return compile_mjcf(text)
 
@@ -61,7 +64,7 @@ class VariantEnv(MujocoEnv, EzPickle):
         if specification(self.variant.robot).environment != self.robot_environment:
             raise VariantError(f"{variant!r} is not a variant of {self.robot_environment}")
         if mjcf is not None:
-            check_text(mjcf, variant)
+            check_mjcf(mjcf, variant)
         self.mjcf = model_text(self.variant, mjcf)
         z_range = healthy_z_range(self.variant if mjcf is None else self.variant.base)
         defaults = {} if z_range is None else {"healthy_z_range": z_range}
@@ -73,7 +76,7 @@ class VariantEnv(MujocoEnv, EzPickle):
     _ctrl_cost_weight: float
     _exclude_current_positions_from_observation: bool
 
-    def _initialize_simulation(self) -> tuple[Any, Any]:
+    def _initialize_simulation(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
         model = copy(_compiled(self.mjcf))
         model.vis.global_.offwidth = max(model.vis.global_.offwidth, self.width)
         model.vis.global_.offheight = max(model.vis.global_.offheight, self.height)
@@ -82,7 +85,7 @@ class VariantEnv(MujocoEnv, EzPickle):
     # Gymnasium's step() spends 10 us (HalfCheetah) to 30 us (Hopper) outside MuJoCo, a third of the
     # whole. The methods below are what it calls most, to the bit the same, and at a third of the time.
 
-    def do_simulation(self, ctrl: Any, n_frames: int) -> None:
+    def do_simulation(self, ctrl: Array, n_frames: int) -> None:
         """Apply an action for ``n_frames`` steps of the simulation.
 
         Raises:
@@ -94,11 +97,11 @@ class VariantEnv(MujocoEnv, EzPickle):
             )
         self._step_mujoco_simulation(ctrl, n_frames)  # type: ignore[no-untyped-call]
 
-    def control_cost(self, action: Any) -> Any:
+    def control_cost(self, action: Array) -> Any:
         """Return the weighted sum of the squared action."""
         return self._ctrl_cost_weight * np.add.reduce(np.square(action), axis=None)
 
-    def _get_obs(self) -> Any:
+    def _get_obs(self) -> Array:
         position = self.data.qpos
         if self._exclude_current_positions_from_observation:
             position = position[1:]
@@ -111,7 +114,7 @@ class VariantEnv(MujocoEnv, EzPickle):
 class ClippedVelocity:
     """What Hopper and Walker2d share: velocities observed within [-10, 10]."""
 
-    data: Any
+    data: mujoco.MjData
 
     def _observed_velocity(self) -> Any:
         return np.minimum(np.maximum(self.data.qvel, _LOWEST_VELOCITY), _HIGHEST_VELOCITY)
@@ -215,7 +218,7 @@ class CollectionEnv(gym.Env[Any, Any], EzPickle):
         observation, info = self._current.reset(seed=seed)
         return observation, info | {"variant": name}
 
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+    def step(self, action: Array) -> tuple[Array, Any, bool, bool, dict[str, Any]]:
         """Step the present variant's environment."""
         return self._current.step(action)
 

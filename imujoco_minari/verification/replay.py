@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import version
 from typing import Any
@@ -14,6 +15,9 @@ from imujoco_minari.envs.registration import make
 from imujoco_minari.storage import file_format
 from imujoco_minari.variants.original import variant_of
 from imujoco_minari.verification.findings import Finding
+
+# Processor time (s) that a step may take on average, and that is granted on top. Usual steps take 1e-4 s.
+STEP_SECONDS, START_SECONDS = 0.02, 1.0
 
 
 def replay(
@@ -48,6 +52,7 @@ def replay(
 
 def _replay_episode(group: h5py.Group, name: str, env: gym.Env[Any, Any]) -> Iterator[Finding]:
     recorded = {key: group[key][()] for key in file_format.ARRAYS}
+    started, clock = time.thread_time(), time.thread_time
     actions, length = recorded["actions"], len(recorded["rewards"])
     replayed = {key: np.empty_like(recorded[key]) for key in file_format.ARRAYS if key != "actions"}
     observations, rewards = replayed["observations"], replayed["rewards"]
@@ -62,6 +67,13 @@ def _replay_episode(group: h5py.Group, name: str, env: gym.Env[Any, Any]) -> Ite
         if terminated or truncated:
             steps = index + 1
             break
+        # To read the clock takes 1e-6 s, a fortieth of a step.
+        if index % 10 == 9 and clock() - started > START_SECONDS + STEP_SECONDS * (index + 1):
+            yield Finding(
+                name,
+                f"was replayed to step {index + 1} only: a step takes more than {STEP_SECONDS} s",
+            )
+            return
     if steps < length:
         yield Finding(name, f"has {length} steps, but its replay ends after {steps}")
     for key, values in replayed.items():

@@ -12,14 +12,15 @@ import original_archive
 import pytest
 
 import imujoco_minari
-from imujoco_minari.envs import collection_spec, environment_spec, mjcf
+from imujoco_minari.envs import collection_spec, environment_spec, external_mjcf, mjcf
 from imujoco_minari.envs.differences import model_differences
-from imujoco_minari.envs.external_mjcf import canonical_foreign_mjcf
+from imujoco_minari.envs.external_mjcf import canonical_foreign_mjcf, check_mjcf
 from imujoco_minari.envs.registration import current_spec, dataset_spec, is_entry_point, stored_models
 from imujoco_minari.errors import ModelError, RenderingError, VariantError
 from imujoco_minari.importing.catalogue_diff import common_differences, coverage, departure
+from imujoco_minari.limits import run_limited
 from imujoco_minari.pictures.rendering.scene import COLOURS, scene_model
-from imujoco_minari.variants import ROBOTS, Variant, specification
+from imujoco_minari.variants import ROBOTS, Variant, bases, catalogue, specification
 from imujoco_minari.variants.original import OriginalVariant
 
 # Every numeric field that decides how a model moves.
@@ -97,6 +98,11 @@ def test_the_canonical_text_is_a_fixed_point() -> None:
     assert canonical_foreign_mjcf(once, "hopper", "test") == once
 
 
+def textures(count: int, width: int) -> str:
+    sizes = f'width="{width}" height="{width}"'
+    return "".join(f'<texture name="t{i}" type="cube" builtin="flat" {sizes}/>' for i in range(count))
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -107,10 +113,22 @@ def test_the_canonical_text_is_a_fixed_point() -> None:
         ("<asset>", '<asset><texture name="t" type="2d" file="/etc/passwd"/>', 'file="/etc/passwd"'),
         ("<asset>", '<asset><texture name="t" type="cube" fileright="a.png"/>', "fileright"),
         ("<compiler ", '<compiler meshdir="/" ', "meshdir"),
-        ('width="127"', 'width="99999"', "too large"),
-        ("<worldbody>", '<size memory="900G"/><worldbody>', "memory"),
+        ('width="127"', 'width="+1300"', "ntexdata of the compiled model is"),
+        ('width="127"', 'width="+40000"', "Could not allocate memory"),
+        ("<asset>", f"<asset>{textures(60, 4000)}", "Could not allocate memory"),
+        ("<asset>", f"<asset>{textures(30, 512)}", "nbuffer of the compiled model is"),
+        ("<worldbody>", '<size memory="900G"/><worldbody>', "Could not allocate memory"),
+        ("<worldbody>", '<size memory="200M"/><worldbody>', "narena of the compiled model is"),
+        ("<worldbody>", '<option iterations="+2000000000"/><worldbody>', "opt.iterations of the compiled"),
+        ("<worldbody>", '<option timestep="1e-9"/><worldbody>', "opt.timestep of the compiled model is"),
+        ("<worldbody>", "<worldbody>" + '<geom size="1"/>' * 200, "ngeom of the compiled model is"),
+        (
+            "<worldbody>",
+            '<visual><global offwidth="+90000"/></visual><worldbody>',
+            "offwidth of the",
+        ),
         ("<worldbody>", '<replicate count="1000000"/><worldbody>', "<replicate> is refused"),
-        ('width="127"', 'width="' + "9" * 5000 + '"', "too large"),
+        ('width="127"', 'width="' + "9" * 5000 + '"', "cannot compile"),
         ('gear="200.0"', 'gear="nan"', "is no number"),
         ('name="thigh"', 'name="knee"', "is no hopper"),
         ('joint="foot_joint"', 'joint="leg_joint"', "actuated joints"),
@@ -123,6 +141,50 @@ def test_a_model_that_is_unsafe_or_of_another_robot_is_refused(old: str, new: st
     assert old in text
     with pytest.raises(ModelError, match=message):
         canonical_foreign_mjcf(text.replace(old, new), "hopper", "test")
+
+
+def test_a_stored_text_is_bounded_as_it_stands() -> None:
+    text = mjcf.canonical_mjcf(Variant("hopper", "base", 0, ""))
+    for change, message in (
+        ('<size nstack="+900000000"/>', "Could not allocate memory"),
+        ('<size nstack="+20000000"/>', "narena of the compiled model is"),
+        ('<option iterations="+2000000000" tolerance="0"/>', "opt.iterations of the compiled model is"),
+    ):
+        hostile = text.replace("<worldbody>", f"{change}<worldbody>")
+        with pytest.raises(ModelError, match=message):
+            gym.make(environment_spec("hopper-massinc_0_any", hostile))
+
+
+def test_a_text_is_compiled_apart_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = []
+
+    def counted(*arguments: str, **limits: int) -> bytes:
+        calls.append(arguments)
+        return run_limited(*arguments, **limits)
+
+    monkeypatch.setattr(external_mjcf, "run_limited", counted)
+    monkeypatch.setattr(external_mjcf, "_WITHIN_BOUNDS", set())
+    text = mjcf.canonical_mjcf(Variant("hopper", "mass", 3, "leggeom"))
+    for _ in range(2):
+        check_mjcf(text, "test")
+    assert len(calls) == 1
+    canonical = canonical_foreign_mjcf(base_xml("walker2d"), "walker2d", "test")
+    assert len(calls) == 2
+    check_mjcf(canonical, "test")
+    assert len(calls) == 2
+
+
+def test_a_child_that_is_killed_is_a_model_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(external_mjcf, "_MEASURE", "limited_calls:crash")
+    with pytest.raises(ModelError, match=r"test: compiling the model kills the process \(SIGSEGV\)"):
+        canonical_foreign_mjcf(base_xml("hopper"), "hopper", "test")
+
+
+@pytest.mark.parametrize("variant", [*bases(), *catalogue(category="length")], ids=str)
+def test_our_own_models_are_far_within_the_bounds(variant: Variant) -> None:
+    fields = external_mjcf._measure(mjcf.compile_mjcf(mjcf.canonical_mjcf(variant)))
+    for field, (_, high) in external_mjcf._BOUNDS.items():
+        assert fields[field] <= high / 2, field
 
 
 def test_entities_and_sizes_are_refused_before_parsing() -> None:

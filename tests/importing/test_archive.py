@@ -14,7 +14,7 @@ import pytest
 from imujoco_minari import combine_datasets, verify
 from imujoco_minari.cli.app import run
 from imujoco_minari.envs import environment_spec
-from imujoco_minari.envs.mjcf import canonical_mjcf
+from imujoco_minari.envs.mjcf import canonical_mjcf, mjcf_sha256
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError
 from imujoco_minari.importing.archive import open_archive
 from imujoco_minari.importing.catalogue_diff import published_models
@@ -170,6 +170,29 @@ def test_a_variant_of_ours_takes_no_text_of_a_model(root: Path) -> None:
     (finding, *_) = verify("imujoco/hopper-base-random-v0")
     assert finding.where == "metadata.json/env_spec"
     assert "follows from its id" in finding.what
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ('<option iterations="+2000000000" tolerance="0"/>', "opt.iterations of the compiled model"),
+        ('<asset><mesh name="m" file="/etc/passwd"/></asset>', "<mesh> is refused"),
+    ],
+)
+def test_verify_ends_whatever_the_stored_model_is(place: Path, change: str, message: str) -> None:
+    """The dataset is consistent: its model is hostile, and all digests are right."""
+    how = Import(recollect=True, episodes=1)
+    dataset_id = recollect(open_archive(place), OriginalVariant.parse(HOPPER), how).dataset_id
+    data = minari_root.dataset_folder(dataset_id) / "data"
+    found = json.loads((data / "metadata.json").read_text())
+    with h5py.File(file_format.main_file(data), "a") as file:
+        text = str(file.attrs["mjcf"]).replace("<worldbody>", f"{change}<worldbody>")
+        file.attrs["mjcf"], file.attrs["mjcf_sha256"] = text, mjcf_sha256(text)
+    found |= {"mjcf_sha256": mjcf_sha256(text), "env_spec": environment_spec(HOPPER, text).to_json()}
+    (data / "metadata.json").write_text(json.dumps(found))
+    file_format.seal_files(data)
+    (finding,) = verify(dataset_id)
+    assert message in finding.what
 
 
 def test_verify_sees_that_an_original_runs_another_model(place: Path) -> None:
