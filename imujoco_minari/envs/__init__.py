@@ -1,6 +1,6 @@
 """Variants as Gymnasium environments: from a variant to an MJCF text to an environment.
 
-Datasets store the entry points ``imujoco_minari.envs:HopperVariantEnv`` and so on, so these names stay.
+Datasets store entry points such as ``imujoco_minari.envs:HopperVariantEnv``, so these names must not change.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a variant changes, read off the compiled models of it and of its base robot."""
+"""The physical quantities that a variant changes, from its compiled model and that of its base robot."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def differences(variant: Variant) -> list[Difference]:
 def model_differences(before: mujoco.MjModel, after: mujoco.MjModel) -> list[Difference]:
     """Return the quantities in which two compiled models of one robot differ.
 
-    Geoms and joints are matched by name. Contact friction is that between each geom and the floor.
+    Geoms and joints are matched by name. Contact friction is the friction between a geom and the floor.
     """
     pairs: list[Difference] = []
 

@@ -1,8 +1,8 @@
-"""From a variant to the one canonical MJCF text that everything downstream loads.
+"""Makes the canonical MJCF text of a variant, which training, collection, rendering and verification compile.
 
-The start is the robot's Gymnasium v5 model. Its compiled inertias are written into it first, which
-frees HalfCheetah of ``settotalmass`` (it would rescale every limb when one changes) and leaves every
-field of the compiled model as it was, bit for bit. Then one function a category makes its one edit.
+It starts from the robot's Gymnasium v5 model and first writes the compiled inertias into it. This removes
+HalfCheetah's ``settotalmass``, which would rescale every limb when one changes, and leaves every field of
+the compiled model the same to the bit. Then one function for each category edits the model.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 @lru_cache(maxsize=256)
 def canonical_mjcf(variant: Variant) -> str:
-    """Return the MJCF text of ``variant``; loading it gives the model to the last bit.
+    """Return the canonical MJCF text of ``variant``. Compiling it gives the edited model to the last bit.
 
     Raises:
         ModelError: when MuJoCo cannot compile the edited model.
@@ -56,9 +56,9 @@ def mjcf_sha256(text: str) -> str:
 
 
 def healthy_z_range(variant: Variant) -> tuple[float, float] | None:
-    """Return the torso heights (m) outside which an episode of ``variant`` ends, or None if none does.
+    """Return the torso heights (m) outside which an episode of ``variant`` ends; None where none does.
 
-    A length variant's root is raised or lowered to stand on the floor, and the range moves with it.
+    The root of a length variant is raised or lowered so that it stands on the floor. The range moves with it.
     """
     base = specification(variant.robot).healthy_z_range
     if base is None:
@@ -69,7 +69,7 @@ def healthy_z_range(variant: Variant) -> tuple[float, float] | None:
 
 @lru_cache(maxsize=256)
 def root_shift(variant: Variant) -> float:
-    """Return by how much (m) the root of ``variant`` stands higher than the base robot's."""
+    """Return the height (m) of the root of ``variant`` above the base robot's."""
     return _edited(variant)[1]
 
 
@@ -112,7 +112,7 @@ def _baked(robot: str) -> mujoco.MjSpec:
 
 
 def bake(text: str) -> mujoco.MjSpec:
-    """Return the ``mujoco.MjSpec`` of an MJCF text whose bodies all have names, inertias written out."""
+    """Return the spec of an MJCF text, with the compiled inertias written out. All bodies must have names."""
     spec = mujoco.MjSpec.from_string(text)
     # to_xml() would otherwise round what it writes to six digits.
     spec.compiler.savecompiled = False
@@ -132,7 +132,7 @@ def bake(text: str) -> mujoco.MjSpec:
 
 
 def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """Return the model of a spec as it stands; compiling the spec itself would settle its inertias."""
+    """Return the model of a copy of a spec. Compiling the spec itself would fix its inertias."""
     return spec.copy().compile()
 
 
@@ -153,7 +153,7 @@ def _edit_joint(spec: mujoco.MjSpec, variant: Variant) -> float:
 
 
 def _edit_length(spec: mujoco.MjSpec, variant: Variant) -> float:
-    """Stretch the capsule away from its joint, move what hangs on it, and stand the robot on the floor."""
+    """Stretch the capsule away from its joint, move its child bodies, and stand the robot on the floor."""
     base = _compiled(spec)
     clearance = lowest_point(base)
     for body in _bodies(spec, variant):
@@ -170,11 +170,11 @@ def _edit_length(spec: mujoco.MjSpec, variant: Variant) -> float:
 
 
 def _edit_friction(spec: mujoco.MjSpec, variant: Variant) -> float:
-    """Give the contacts between feet and floor, and only those, a scaled sliding friction.
+    """Scale the sliding friction of the contacts between feet and floor, and of no other contacts.
 
-    A contact takes the larger of its two geoms' frictions, so a smaller one on the foot alone would
-    change little or nothing. An explicit contact pair decides alone; its other parameters are what
-    MuJoCo derives for that contact from the two geoms.
+    A contact takes the larger friction of its two geoms, so a smaller friction of the foot alone would
+    change little or nothing. An explicit contact pair overrides both. Its other parameters are those that
+    MuJoCo derives from the two geoms.
     """
     floor = spec.geom("floor")
     for name in variant.mjcf_names:

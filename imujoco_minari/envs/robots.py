@@ -1,8 +1,8 @@
 """Variants as Gymnasium environments.
 
-Each class is Gymnasium's own v5 environment of the robot around the canonical model of a variant:
-observations, actions, rewards and termination are its, only the model (and, for length variants,
-the healthy height range) differs. :class:`CollectionEnv` is the environment of a combined dataset.
+Each class is Gymnasium's own v5 environment of the robot with the model of a variant. Observations,
+actions, rewards and termination are Gymnasium's; only the model and, for length variants, the healthy
+height range differ. :class:`CollectionEnv` is the environment of a combined dataset.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ _LOWEST_VELOCITY, _HIGHEST_VELOCITY = np.array(-10.0), np.array(10.0)
 
 @lru_cache(maxsize=4)
 def _compiled(text: str) -> mujoco.MjModel:
-    """Compile a model once for the environments that step it side by side, each in a copy of its own."""
+    """Compile a model once for all environments that run it. Each takes a copy."""
     return compile_mjcf(text)
 
 
 class VariantEnv(MujocoEnv, EzPickle):
-    """What the three robots' variant environments share.
+    """The base class of the robots' variant environments.
 
     Args:
         variant: a variant id, as in ``hopper-massdec_25_leggeom``.
@@ -83,13 +83,13 @@ class VariantEnv(MujocoEnv, EzPickle):
         return model, mujoco.MjData(model)
 
     # Gymnasium's step() spends 10 us (HalfCheetah) to 30 us (Hopper) outside MuJoCo, a third of the
-    # whole. The methods below are what it calls most, to the bit the same, and at a third of the time.
+    # whole. It calls the methods below most often. These return the same to the bit, in a third of the time.
 
     def do_simulation(self, ctrl: Array, n_frames: int) -> None:
         """Apply an action for ``n_frames`` steps of the simulation.
 
         Raises:
-            ValueError: when the action has not the shape of the action space.
+            ValueError: when the action does not have the shape of the action space.
         """
         if np.shape(ctrl) != self.action_space.shape:
             raise ValueError(
@@ -112,7 +112,7 @@ class VariantEnv(MujocoEnv, EzPickle):
 
 
 class ClippedVelocity:
-    """What Hopper and Walker2d share: velocities observed within [-10, 10]."""
+    """Clips observed velocities to [-10, 10], as Gymnasium does for Hopper and Walker2d."""
 
     data: mujoco.MjData
 
@@ -151,10 +151,10 @@ class Walker2dVariantEnv(ClippedVelocity, VariantEnv, Walker2dEnv):
 
 
 class CollectionEnv(gym.Env[Any, Any], EzPickle):
-    """One robot in many variants, one of them an episode.
+    """One robot in many variants, one variant for each episode.
 
-    ``reset(options={"variant": id})`` takes that variant, and then equals the variant's own
-    environment reset with the same seed. Without the option the seed draws the variant.
+    ``reset(options={"variant": id})`` chooses the variant. The episode then equals one of the variant's own
+    environment with the same seed. Without the option, the seed draws the variant.
 
     Args:
         variants: ids of variants of one robot.

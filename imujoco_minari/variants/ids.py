@@ -1,7 +1,6 @@
-"""Variant ids: what a variant is, how its id is written and read, and which ids the catalogue lists.
+"""Variant ids: their one parser, their one formatter, and the catalogue's list.
 
-The words are the benchmark's: a *variant* is a robot with one *category* of physical parameter
-changed by a signed *percent* on one *body*. This module holds the one parser and the one formatter of ids.
+A *variant* is a robot with one *category* of physical parameter changed by a signed *percent* on one *body*.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ class Variant:
         VariantError: when the four do not name a variant.
     """
 
-    # Of the ids of environments and datasets; those of other catalogues differ.
+    # The namespace of the ids of environments and datasets. Other catalogues have others.
     namespace: ClassVar[str] = NAMESPACE
 
     robot: str
@@ -124,7 +123,7 @@ class Variant:
 
     @property
     def factor(self) -> float:
-        """What the base value is multiplied by, ``1 + percent / 100``."""
+        """The factor on the base value, ``1 + percent / 100``."""
         return (100 + self.percent) / 100
 
     @property
@@ -189,7 +188,7 @@ def catalogue(robot: str | None = None, category: str | None = None) -> tuple[Va
 
 
 def bases() -> tuple[Variant, ...]:
-    """Return the three unchanged robots, which the 154 do not count."""
+    """Return the unchanged robots. The catalogue's 154 variants do not include them."""
     return tuple(Variant(robot, BASE, 0, "") for robot in ROBOTS)
 
 
