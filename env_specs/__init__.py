@@ -1,1 +1,1 @@
-"""The catalogue: one TOML file a robot. Data only; :mod:`imujoco_minari.variants.ids` reads it."""
+"""The robots, one TOML page for each. Data only; :mod:`imujoco_minari.variants.robots` reads them."""

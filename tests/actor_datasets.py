@@ -14,16 +14,15 @@ def publish_actors(dataset_ids: Iterable[str], root: Path, episodes: int = 8) ->
     """Publish these datasets into the Minari root ``root``; those that are there are left alone."""
     from safetensors.numpy import save_file
 
-    from imujoco_minari.policies import SIZES
     from imujoco_minari.publishing.publisher import publish
-    from imujoco_minari.variants import parse_dataset_id
+    from imujoco_minari.variants import parse_dataset_id, specification
 
     root.mkdir(parents=True, exist_ok=True)
     with patch.dict(os.environ, MINARI_DATASETS_PATH=str(root)):
         for dataset_id in dataset_ids:
             variant, tier = parse_dataset_id(dataset_id)
             weights = root / f"{variant.robot}.safetensors"
-            save_file(_weights(*SIZES[variant.robot]), weights)
+            save_file(_weights(*specification(variant.robot).sizes), weights)
             publish(variant, tier=tier, episodes=episodes, policy=weights)
             weights.unlink()
 

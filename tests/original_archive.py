@@ -16,8 +16,10 @@ import gymnasium as gym
 import numpy as np
 import torch
 
+from imujoco_minari.envs import environment_spec
 from imujoco_minari.envs.external_mjcf import canonical_foreign_mjcf
-from imujoco_minari.policies import SIZES, Policy, RandomPolicy
+from imujoco_minari.policies import Policy, RandomPolicy
+from imujoco_minari.variants import specification
 from imujoco_minari.variants.original import OriginalVariant
 
 ASSETS = {"hopper": "hopper.xml", "halfcheetah": "half_cheetah.xml", "walker2d": "walker2d.xml"}
@@ -82,7 +84,7 @@ def gym_xml(variant: str) -> str:
 def actor_state(robot: str, seed: int = 0) -> dict[str, torch.Tensor]:
     """A state dict as SB3 1.x saves a SAC policy's, with random weights."""
     rng = np.random.default_rng(seed)
-    observation, action = SIZES[robot]
+    observation, action = specification(robot).sizes
 
     def layer(name: str, inputs: int, outputs: int) -> dict[str, torch.Tensor]:
         weight = rng.normal(0, 1 / np.sqrt(inputs), (outputs, inputs)).astype(np.float32)
@@ -147,8 +149,8 @@ def table(
     """Rows as the original's authors recorded them, of steps in the variant's own model."""
     parsed = OriginalVariant.parse(variant)
     mjcf = canonical_foreign_mjcf(gym_xml(variant), parsed.robot, variant)
-    env = gym.make(parsed.environment_spec(mjcf))
-    policy = policy or RandomPolicy(SIZES[parsed.robot][1])
+    env = gym.make(environment_spec(parsed, mjcf))
+    policy = policy or RandomPolicy(specification(parsed.robot).action_size)
     rng, rows = np.random.default_rng(seed), []
     for episode in range(episodes):
         observation, _ = env.reset(seed=seed + episode)

@@ -26,6 +26,7 @@ from rich.progress import (
 )
 
 from imujoco_minari.errors import CatalogueError, ImujocoError, VariantError
+from imujoco_minari.variants import ROBOTS
 
 app = typer.Typer(
     name="imujoco",
@@ -40,7 +41,8 @@ out = Console(highlight=False, soft_wrap=True)
 err = Console(stderr=True, highlight=False, soft_wrap=True)
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")]
-Robot = Annotated[str | None, typer.Option("--robot", "-r", help="hopper, halfcheetah or walker2d.")]
+_ROBOTS = f"{', '.join(ROBOTS[:-1])} or {ROBOTS[-1]}."
+Robot = Annotated[str | None, typer.Option("--robot", "-r", help=_ROBOTS)]
 Category = Annotated[str | None, typer.Option("--category", "-c", help="mass, joint, length or friction.")]
 
 

@@ -1,9 +1,8 @@
-"""What a variant changes, read off the compiled models of it and of its base robot."""
+"""The physical quantities that a variant changes, from its compiled model and that of its base robot."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -37,10 +36,10 @@ def differences(variant: Variant) -> list[Difference]:
     return found
 
 
-def model_differences(before: Any, after: Any) -> list[Difference]:
+def model_differences(before: mujoco.MjModel, after: mujoco.MjModel) -> list[Difference]:
     """Return the quantities in which two compiled models of one robot differ.
 
-    Geoms and joints are matched by name. Contact friction is that between each geom and the floor.
+    Geoms and joints are matched by name. Contact friction is the friction between a geom and the floor.
     """
     pairs: list[Difference] = []
 
@@ -66,7 +65,7 @@ def model_differences(before: Any, after: Any) -> list[Difference]:
     return pairs
 
 
-def _friction(model: Any, name: str) -> float:
+def _friction(model: mujoco.MjModel, name: str) -> float:
     """Return the sliding friction of the contact between a geom and the floor, by MuJoCo's rules."""
     geom, floor = model.geom(name), model.geom("floor")
     for i in range(model.npair):

@@ -1,8 +1,8 @@
-"""From a variant to the one canonical MJCF text that everything downstream loads.
+"""Makes the canonical MJCF text of a variant, which training, collection, rendering and verification compile.
 
-The start is the robot's Gymnasium v5 model. Its compiled inertias are written into it first, which
-frees HalfCheetah of ``settotalmass`` (it would rescale every limb when one changes) and leaves every
-field of the compiled model as it was, bit for bit. Then one function a category makes its one edit.
+It starts from the robot's Gymnasium v5 model and first writes the compiled inertias into it. This removes
+HalfCheetah's ``settotalmass``, which would rescale every limb when one changes, and leaves every field of
+the compiled model the same to the bit. Then one function for each category edits the model.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import hashlib
 from collections.abc import Callable
 from functools import lru_cache
 from importlib import resources
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -19,18 +18,36 @@ from numpy.typing import NDArray
 
 from imujoco_minari.errors import ModelError
 from imujoco_minari.variants import BASE, Variant, specification
+from imujoco_minari.variants.original import OriginalVariant
 
 Array = NDArray[np.float64]
 
 
 @lru_cache(maxsize=256)
 def canonical_mjcf(variant: Variant) -> str:
-    """Return the MJCF text of ``variant``; loading it gives the model to the last bit.
+    """Return the canonical MJCF text of ``variant``. Compiling it gives the edited model to the last bit.
 
     Raises:
         ModelError: when MuJoCo cannot compile the edited model.
     """
     return _edited(variant)[0]
+
+
+def model_text(variant: Variant, mjcf: str | None = None) -> str:
+    """Return the MJCF text that an environment of ``variant`` runs.
+
+    Args:
+        variant: ours, with the canonical text, or a variant of the original archive.
+        mjcf: the text of the latter, which does not follow from its id.
+
+    Raises:
+        ModelError: when a variant of the archive has no text.
+    """
+    if not isinstance(variant, OriginalVariant):
+        return canonical_mjcf(variant)
+    if mjcf is None:
+        raise ModelError(f"{variant} is a variant of the original archive and needs the text of its model")
+    return mjcf
 
 
 def mjcf_sha256(text: str) -> str:
@@ -39,9 +56,9 @@ def mjcf_sha256(text: str) -> str:
 
 
 def healthy_z_range(variant: Variant) -> tuple[float, float] | None:
-    """Return the torso heights (m) outside which an episode of ``variant`` ends, or None if none does.
+    """Return the torso heights (m) outside which an episode of ``variant`` ends; None where none does.
 
-    A length variant's root is raised or lowered to stand on the floor, and the range moves with it.
+    The root of a length variant is raised or lowered so that it stands on the floor. The range moves with it.
     """
     base = specification(variant.robot).healthy_z_range
     if base is None:
@@ -52,12 +69,12 @@ def healthy_z_range(variant: Variant) -> tuple[float, float] | None:
 
 @lru_cache(maxsize=256)
 def root_shift(variant: Variant) -> float:
-    """Return by how much (m) the root of ``variant`` stands higher than the base robot's."""
+    """Return the height (m) of the root of ``variant`` above the base robot's."""
     return _edited(variant)[1]
 
 
-def compile_mjcf(text: str) -> Any:
-    """Return the ``mujoco.MjModel`` of an MJCF text.
+def compile_mjcf(text: str) -> mujoco.MjModel:
+    """Compile an MJCF text.
 
     Raises:
         ModelError: when MuJoCo cannot compile it.
@@ -68,7 +85,7 @@ def compile_mjcf(text: str) -> Any:
         raise ModelError(f"MuJoCo cannot compile the model: {error}") from None
 
 
-def lowest_point(model: Any) -> float:
+def lowest_point(model: mujoco.MjModel) -> float:
     """Return the height (m) of the lowest point of the robot's capsules in the rest pose, floor at 0."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -88,14 +105,14 @@ def _edited(variant: Variant) -> tuple[str, float]:
         raise ModelError(f"{variant}: MuJoCo cannot compile the edited model: {error}") from None
 
 
-def _baked(robot: str) -> Any:
+def _baked(robot: str) -> mujoco.MjSpec:
     """Return the base robot's spec with its compiled inertias written out."""
     asset = resources.files("gymnasium.envs.mujoco") / "assets" / specification(robot).model
     return bake(asset.read_text("utf-8"))
 
 
-def bake(text: str) -> Any:
-    """Return the ``mujoco.MjSpec`` of an MJCF text whose bodies all have names, inertias written out."""
+def bake(text: str) -> mujoco.MjSpec:
+    """Return the spec of an MJCF text, with the compiled inertias written out. All bodies must have names."""
     spec = mujoco.MjSpec.from_string(text)
     # to_xml() would otherwise round what it writes to six digits.
     spec.compiler.savecompiled = False
@@ -114,12 +131,12 @@ def bake(text: str) -> Any:
     return spec
 
 
-def _compiled(spec: Any) -> Any:
-    """Return the model of a spec as it stands; compiling the spec itself would settle its inertias."""
+def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """Return the model of a copy of a spec. Compiling the spec itself would fix its inertias."""
     return spec.copy().compile()
 
 
-def _edit_mass(spec: Any, variant: Variant) -> float:
+def _edit_mass(spec: mujoco.MjSpec, variant: Variant) -> float:
     """Scale the mass of the body's one geom, and its inertia with it."""
     for body in _bodies(spec, variant):
         body.mass *= variant.factor
@@ -127,7 +144,7 @@ def _edit_mass(spec: Any, variant: Variant) -> float:
     return 0.0
 
 
-def _edit_joint(spec: Any, variant: Variant) -> float:
+def _edit_joint(spec: mujoco.MjSpec, variant: Variant) -> float:
     """Scale both ends of the joint's range."""
     for name in variant.mjcf_names:
         joint = spec.joint(name)
@@ -135,12 +152,12 @@ def _edit_joint(spec: Any, variant: Variant) -> float:
     return 0.0
 
 
-def _edit_length(spec: Any, variant: Variant) -> float:
-    """Stretch the capsule away from its joint, move what hangs on it, and stand the robot on the floor."""
+def _edit_length(spec: mujoco.MjSpec, variant: Variant) -> float:
+    """Stretch the capsule away from its joint, move its child bodies, and stand the robot on the floor."""
     base = _compiled(spec)
     clearance = lowest_point(base)
     for body in _bodies(spec, variant):
-        _stretch(body, _capsule_axis(base, body.geoms[0].name), variant.factor)
+        _stretch(body, _capsule_axis(base, body.geoms[0].name), variant)
     shift = clearance - lowest_point(_compiled(spec))
     root = spec.bodies[1]
     root.pos = root.pos + [0.0, 0.0, shift]
@@ -152,12 +169,12 @@ def _edit_length(spec: Any, variant: Variant) -> float:
     return shift
 
 
-def _edit_friction(spec: Any, variant: Variant) -> float:
-    """Give the contacts between feet and floor, and only those, a scaled sliding friction.
+def _edit_friction(spec: mujoco.MjSpec, variant: Variant) -> float:
+    """Scale the sliding friction of the contacts between feet and floor, and of no other contacts.
 
-    A contact takes the larger of its two geoms' frictions, so a smaller one on the foot alone would
-    change little or nothing. An explicit contact pair decides alone; its other parameters are what
-    MuJoCo derives for that contact from the two geoms.
+    A contact takes the larger friction of its two geoms, so a smaller friction of the foot alone would
+    change little or nothing. An explicit contact pair overrides both. Its other parameters are those that
+    MuJoCo derives from the two geoms.
     """
     floor = spec.geom("floor")
     for name in variant.mjcf_names:
@@ -174,7 +191,7 @@ def _edit_friction(spec: Any, variant: Variant) -> float:
     return 0.0
 
 
-_EDITS: dict[str, Callable[[Any, Variant], float]] = {
+_EDITS: dict[str, Callable[[mujoco.MjSpec, Variant], float]] = {
     "mass": _edit_mass,
     "joint": _edit_joint,
     "length": _edit_length,
@@ -182,7 +199,7 @@ _EDITS: dict[str, Callable[[Any, Variant], float]] = {
 }
 
 
-def _bodies(spec: Any, variant: Variant) -> list[Any]:
+def _bodies(spec: mujoco.MjSpec, variant: Variant) -> list[mujoco.MjsBody]:
     bodies = [spec.geom(name).parent for name in variant.mjcf_names]
     for body in bodies:
         if len(body.geoms) != 1:
@@ -190,13 +207,14 @@ def _bodies(spec: Any, variant: Variant) -> list[Any]:
     return bodies
 
 
-def _stretch(body: Any, axis: Array, factor: float) -> None:
-    """Scale the segment of a limb's capsule by ``factor``, radius and density kept.
+def _stretch(body: mujoco.MjsBody, axis: Array, variant: Variant) -> None:
+    """Scale the segment of a limb's capsule by the variant's factor, radius and density kept.
 
     The point of the segment nearest to the limb's joint stays where it is: an end for most limbs, the
     ankle for Hopper's foot, whose heel stands out behind it; the centre for the torso. Child bodies
     move with the end they hang on.
     """
+    factor, root_joints = variant.factor, specification(variant.robot).root_joints
     if factor == 1.0:
         # From mass to density and back would cost the last bit.
         return
@@ -204,7 +222,7 @@ def _stretch(body: Any, axis: Array, factor: float) -> None:
     radius, half = geom.size[0], geom.size[1]
     centre = np.array(geom.pos)
     density = body.mass / _capsule_volume(radius, half)
-    hinges = [joint for joint in body.joints if joint.name not in _ROOT_JOINTS]
+    hinges = [joint for joint in body.joints if joint.name not in root_joints]
     fixed = 0.0 if not hinges else float(np.clip((hinges[0].pos - centre) @ axis, -half, half))
 
     def moved(along: float) -> Array:
@@ -222,16 +240,13 @@ def _stretch(body: Any, axis: Array, factor: float) -> None:
     body.mass, body.inertia, body.iquat = 0.0, np.zeros(3), [1.0, 0.0, 0.0, 0.0]
 
 
-_ROOT_JOINTS = frozenset({"rootx", "rootz", "rooty"})
-
-
-def _attachment(child: Any) -> Array:
+def _attachment(child: mujoco.MjsBody) -> Array:
     """Return where (m, in the parent's frame) a child body is hinged to its parent."""
     # None of the robots' bodies is rotated against its parent in the rest pose.
     return np.asarray(child.pos + child.joints[0].pos, dtype=np.float64)
 
 
-def _capsule_axis(model: Any, name: str) -> Array:
+def _capsule_axis(model: mujoco.MjModel, name: str) -> Array:
     """Return the unit vector of a capsule's axis in its body's frame."""
     axis = np.empty(3)
     mujoco.mju_rotVecQuat(axis, np.array([0.0, 0.0, 1.0]), model.geom(name).quat)

@@ -1,72 +1,145 @@
-"""Gymnasium's registry and the variants: every catalogue id, and any other on demand.
+"""From variants to Gymnasium specs, and the registry: every catalogue id, and any other id on demand.
 
-Entry points are strings and the only keyword is ``variant`` (``variants`` for a collection), so a
-spec stored in a dataset works on any machine that has this package.
+A spec holds strings only: an entry point, ids, and for variants of the original archive the MJCF texts of
+their models. So a spec that a dataset stores works on any machine that has this package.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import gymnasium as gym
 from gymnasium.envs.registration import EnvSpec, registry
 
-from imujoco_minari.variants import CATEGORIES, NAMESPACE, ROBOTS, Variant, bases, catalogue
+from imujoco_minari.errors import VariantError
+from imujoco_minari.variants import CATEGORIES, NAMESPACE, ROBOTS, Variant, bases, catalogue, specification
+from imujoco_minari.variants.original import ORIGINAL, OriginalVariant
 
 MAX_EPISODE_STEPS = 1000
 
-_CLASS = {
-    "hopper": "HopperVariantEnv",
-    "halfcheetah": "HalfCheetahVariantEnv",
-    "walker2d": "Walker2dVariantEnv",
-}
+_MODULE = "imujoco_minari.envs"
+_COLLECTION = f"{_MODULE}:CollectionEnv"
+# Datasets that were published before VariantEnv took a text store these.
+_EARLIER = re.compile(r"imujoco_minari\.importing\.environments:Original(\w+)Env", re.ASCII)
 
 
-def environment_spec(variant: Variant | str) -> EnvSpec:
+def environment_spec(variant: Variant | str, mjcf: str | None = None) -> EnvSpec:
     """Return the Gymnasium spec of a variant's environment.
 
+    Args:
+        variant: a variant or its id.
+        mjcf: the text of the model, for a variant of the original archive only: its model does not follow
+            from its id. An id with a text names a variant of the archive.
+
     Raises:
-        VariantError: when ``variant`` is no variant id.
+        VariantError: when ``variant`` is not a variant id, a variant of the archive has no text, or another
+            variant has one.
     """
     if isinstance(variant, str):
-        variant = Variant.parse(variant)
+        variant = (Variant if mjcf is None else OriginalVariant).parse(variant)
+    if isinstance(variant, OriginalVariant) and mjcf is None:
+        raise VariantError(f"{variant} is a variant of the original archive and needs the text of its model")
+    if not isinstance(variant, OriginalVariant) and mjcf is not None:
+        raise VariantError(f"the model of {variant} follows from its id, so it takes no text of a model")
     return EnvSpec(
         id=variant.environment_id,
-        entry_point=f"imujoco_minari.envs:{_CLASS[variant.robot]}",
+        entry_point=_entry_point(variant.robot),
         max_episode_steps=MAX_EPISODE_STEPS,
-        kwargs={"variant": str(variant)},
+        kwargs={"variant": str(variant)} | ({} if mjcf is None else {"mjcf": mjcf}),
     )
 
 
-def collection_spec(name: str, variants: Iterable[Variant | str]) -> EnvSpec:
-    """Return the Gymnasium spec of a collection's environment, ``imujoco/<name>-v0``."""
+def collection_spec(
+    name: str, variants: Iterable[Variant | str], models: Mapping[str, str] | None = None
+) -> EnvSpec:
+    """Return the Gymnasium spec of the environment of a collection.
+
+    Args:
+        name: of the collection, without namespace and version.
+        variants: of one robot, or their ids.
+        models: id -> MJCF text for each of them, where they are of the original archive.
+    """
+    ids = [str(variant) for variant in variants]
     return EnvSpec(
-        id=f"{NAMESPACE}/{name}-v0",
-        entry_point="imujoco_minari.envs:CollectionEnv",
+        id=f"{ORIGINAL if models else NAMESPACE}/{name}-v0",
+        entry_point=_COLLECTION,
         max_episode_steps=MAX_EPISODE_STEPS,
-        kwargs={"variants": [str(variant) for variant in variants]},
+        kwargs={"models": {variant: models[variant] for variant in ids}} if models else {"variants": ids},
     )
 
 
-def make(variant: Variant | str, **kwargs: Any) -> gym.Env[Any, Any]:
+def dataset_spec(name: str, variants: Sequence[Variant | str], models: Mapping[str, str]) -> EnvSpec:
+    """Return the Gymnasium spec of a dataset with episodes of ``variants``: of the one, or of a collection.
+
+    Args:
+        name: of the collection, without namespace and version.
+        variants: each once.
+        models: what :func:`stored_models` returns.
+
+    Raises:
+        VariantError: when a variant of the original archive has no model, or another variant has one.
+    """
+    specs = [environment_spec(variant, models.get(str(variant))) for variant in variants]
+    if len(specs) == 1:
+        return specs[0]
+    if len({"mjcf" in spec.kwargs for spec in specs}) > 1:
+        raise VariantError("variants of the original archive and of our catalogue share no environment")
+    return collection_spec(name, variants, models)
+
+
+def stored_models(arguments: Any) -> dict[str, str]:
+    """Return variant id -> MJCF text for the models in the ``kwargs`` of a dataset's ``env_spec``.
+
+    It is empty for variants whose models follow from their ids.
+    """
+    if not isinstance(arguments, Mapping):
+        return {}
+    models = arguments.get("models", {arguments.get("variant"): arguments.get("mjcf")})
+    if not isinstance(models, Mapping):
+        return {}
+    return {str(name): text for name, text in models.items() if isinstance(text, str)}
+
+
+def current_spec(stored: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of a stored spec, with today's entry point where it has an earlier version's."""
+    earlier = _EARLIER.fullmatch(str(stored.get("entry_point")))
+    if earlier is None:
+        return dict(stored)
+    name = "CollectionEnv" if earlier[1] == "Collection" else f"{earlier[1]}VariantEnv"
+    return {**stored, "entry_point": f"{_MODULE}:{name}"}
+
+
+def is_entry_point(entry_point: Any) -> bool:
+    """Return whether a value is today's entry point of one of this package's environments."""
+    return entry_point in (_COLLECTION, *map(_entry_point, ROBOTS))
+
+
+def make(variant: Variant | str, mjcf: str | None = None, **kwargs: Any) -> gym.Env[Any, Any]:
     """Make the environment of any variant of the grammar, in the catalogue or not.
 
     Args:
         variant: a variant or its id, as in ``hopper-massinc_37_torsogeom``.
+        mjcf: the text of the model, for a variant of the original archive.
         **kwargs: what ``gymnasium.make`` takes, ``render_mode`` among them.
 
     Raises:
-        VariantError: when ``variant`` is no variant id.
+        VariantError: when ``variant`` is not a variant id.
+        ModelError: when the text is refused.
+
+    Example:
+        >>> make("hopper-massinc_37_torsogeom").observation_space.shape
+        (11,)
     """
-    return gym.make(environment_spec(variant), **kwargs)
+    return gym.make(environment_spec(variant, mjcf), **kwargs)
 
 
 def register(variant: Variant | str) -> str:
     """Register a variant outside the catalogue with Gymnasium and return its environment id.
 
     Raises:
-        VariantError: when ``variant`` is no variant id.
+        VariantError: when ``variant`` is not a variant id.
     """
     spec = environment_spec(variant)
     registry.setdefault(spec.id, spec)
@@ -74,7 +147,7 @@ def register(variant: Variant | str) -> str:
 
 
 def register_catalogue() -> None:
-    """Register the 154 variants, the three bases, and each robot's collections."""
+    """Register the catalogue's variants, the bases, and each robot's collections."""
     # Straight into the registry: gym.register() compares versions over the whole registry at each
     # call, and 172 calls would take a third of a second of every import.
     for variant in (*catalogue(), *bases()):
@@ -84,3 +157,7 @@ def register_catalogue() -> None:
         for category in (None, *CATEGORIES):
             spec = collection_spec(f"{robot}-{category or 'all'}", catalogue(robot, category))
             registry.setdefault(spec.id, spec)
+
+
+def _entry_point(robot: str) -> str:
+    return f"{_MODULE}:{specification(robot).title}VariantEnv"

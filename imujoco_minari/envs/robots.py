@@ -1,16 +1,16 @@
 """Variants as Gymnasium environments.
 
-Each class is Gymnasium's own v5 environment of the robot around the canonical model of a variant:
-observations, actions, rewards and termination are its, only the model (and, for length variants,
-the healthy height range) differs. :class:`CollectionEnv` is the environment of a combined dataset.
+Each class is Gymnasium's own v5 environment of the robot with the model of a variant. Observations,
+actions, rewards and termination are Gymnasium's; only the model and, for length variants, the healthy
+height range differ. :class:`CollectionEnv` is the environment of a combined dataset.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from functools import lru_cache
-from typing import Any
+from typing import Any, cast
 
 import gymnasium as gym
 import mujoco
@@ -19,64 +19,77 @@ from gymnasium.envs.mujoco.half_cheetah_v5 import HalfCheetahEnv
 from gymnasium.envs.mujoco.hopper_v5 import HopperEnv
 from gymnasium.envs.mujoco.mujoco_env import MujocoEnv
 from gymnasium.envs.mujoco.walker2d_v5 import Walker2dEnv
+from gymnasium.envs.registration import load_env_creator
 from gymnasium.utils import EzPickle
+from numpy.typing import NDArray
 
-from imujoco_minari.envs import mjcf
+from imujoco_minari.envs.external_mjcf import check_mjcf
+from imujoco_minari.envs.mjcf import compile_mjcf, healthy_z_range, model_text
+from imujoco_minari.envs.registration import environment_spec
 from imujoco_minari.errors import VariantError, suggestion
 from imujoco_minari.variants import Variant, specification
+from imujoco_minari.variants.original import OriginalVariant
+
+Array = NDArray[Any]
 
 # As arrays: NumPy takes half a microsecond to convert the same number at each call.
 _LOWEST_VELOCITY, _HIGHEST_VELOCITY = np.array(-10.0), np.array(10.0)
 
 
 @lru_cache(maxsize=4)
-def _compiled(text: str) -> Any:
-    """Compile a model once for the environments that step it side by side, each in a copy of its own."""
-    return mjcf.compile_mjcf(text)
+def _compiled(text: str) -> mujoco.MjModel:
+    """Compile a model once for all environments that run it. Each takes a copy."""
+    return compile_mjcf(text)
 
 
 class VariantEnv(MujocoEnv, EzPickle):
-    """What the three robots' variant environments share.
+    """The base class of the robots' variant environments.
 
     Args:
         variant: a variant id, as in ``hopper-massdec_25_leggeom``.
+        mjcf: the text of the model, for a variant of the original archive. It may come from anywhere.
         **kwargs: what Gymnasium's environment of the robot takes, ``render_mode`` among them.
 
     Attributes:
         variant: the :class:`~imujoco_minari.variants.ids.Variant`.
-        mjcf: the canonical MJCF text that the simulation runs.
+        mjcf: the MJCF text that the simulation runs.
+
+    Raises:
+        VariantError: when ``variant`` is not the id of a variant of the class's robot.
+        ModelError: when the text is refused.
     """
 
-    def __init__(self, variant: str, **kwargs: Any) -> None:
-        self.variant = Variant.parse(variant)
-        robot = specification(self.variant.robot)
-        if robot.environment != self.robot_environment:
-            raise VariantError(f"{variant!r} is no variant of {self.robot_environment}")
-        self.mjcf = mjcf.canonical_mjcf(self.variant)
-        z_range = mjcf.healthy_z_range(self.variant)
+    def __init__(self, variant: str, mjcf: str | None = None, **kwargs: Any) -> None:
+        self.variant = (Variant if mjcf is None else OriginalVariant).parse(variant)
+        if specification(self.variant.robot).environment != self.robot_environment:
+            raise VariantError(f"{variant!r} is not a variant of {self.robot_environment}")
+        if mjcf is not None:
+            check_mjcf(mjcf, variant)
+        self.mjcf = model_text(self.variant, mjcf)
+        z_range = healthy_z_range(self.variant if mjcf is None else self.variant.base)
         defaults = {} if z_range is None else {"healthy_z_range": z_range}
         super().__init__(**(defaults | kwargs))
         # The parent recorded its own arguments for pickling; these make this environment again.
-        EzPickle.__init__(self, variant, **kwargs)
+        EzPickle.__init__(self, variant, mjcf, **kwargs)
 
     robot_environment: str
     _ctrl_cost_weight: float
     _exclude_current_positions_from_observation: bool
 
-    def _initialize_simulation(self) -> tuple[Any, Any]:
+    def _initialize_simulation(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
         model = copy(_compiled(self.mjcf))
         model.vis.global_.offwidth = max(model.vis.global_.offwidth, self.width)
         model.vis.global_.offheight = max(model.vis.global_.offheight, self.height)
         return model, mujoco.MjData(model)
 
     # Gymnasium's step() spends 10 us (HalfCheetah) to 30 us (Hopper) outside MuJoCo, a third of the
-    # whole. The methods below are what it calls most, to the bit the same, and at a third of the time.
+    # whole. It calls the methods below most often. These return the same to the bit, in a third of the time.
 
-    def do_simulation(self, ctrl: Any, n_frames: int) -> None:
+    def do_simulation(self, ctrl: Array, n_frames: int) -> None:
         """Apply an action for ``n_frames`` steps of the simulation.
 
         Raises:
-            ValueError: when the action has not the shape of the action space.
+            ValueError: when the action does not have the shape of the action space.
         """
         if np.shape(ctrl) != self.action_space.shape:
             raise ValueError(
@@ -84,11 +97,11 @@ class VariantEnv(MujocoEnv, EzPickle):
             )
         self._step_mujoco_simulation(ctrl, n_frames)  # type: ignore[no-untyped-call]
 
-    def control_cost(self, action: Any) -> Any:
+    def control_cost(self, action: Array) -> Any:
         """Return the weighted sum of the squared action."""
         return self._ctrl_cost_weight * np.add.reduce(np.square(action), axis=None)
 
-    def _get_obs(self) -> Any:
+    def _get_obs(self) -> Array:
         position = self.data.qpos
         if self._exclude_current_positions_from_observation:
             position = position[1:]
@@ -99,9 +112,9 @@ class VariantEnv(MujocoEnv, EzPickle):
 
 
 class ClippedVelocity:
-    """What Hopper and Walker2d share: velocities observed within [-10, 10]."""
+    """Clips observed velocities to [-10, 10], as Gymnasium does for Hopper and Walker2d."""
 
-    data: Any
+    data: mujoco.MjData
 
     def _observed_velocity(self) -> Any:
         return np.minimum(np.maximum(self.data.qvel, _LOWEST_VELOCITY), _HIGHEST_VELOCITY)
@@ -137,39 +150,38 @@ class Walker2dVariantEnv(ClippedVelocity, VariantEnv, Walker2dEnv):
     robot_environment = "Walker2d-v5"
 
 
-ENVIRONMENTS: dict[str, type[VariantEnv]] = {
-    "hopper": HopperVariantEnv,
-    "halfcheetah": HalfCheetahVariantEnv,
-    "walker2d": Walker2dVariantEnv,
-}
-
-
 class CollectionEnv(gym.Env[Any, Any], EzPickle):
-    """One robot in many variants, one of them an episode.
+    """One robot in many variants, one variant for each episode.
 
-    ``reset(options={"variant": id})`` takes that variant, and then equals the variant's own
-    environment reset with the same seed. Without the option the seed draws the variant.
+    ``reset(options={"variant": id})`` chooses the variant. The episode then equals one of the variant's own
+    environment with the same seed. Without the option, the seed draws the variant.
 
     Args:
         variants: ids of variants of one robot.
+        models: id -> MJCF text in place of ``variants``, for variants of the original archive.
         **kwargs: passed to each variant's environment.
+
+    Raises:
+        VariantError: when the ids are not of variants of one robot.
     """
 
     metadata = {  # noqa: RUF012
         "render_modes": ["human", "rgb_array", "depth_array", "rgbd_tuple"]
     }
 
-    def __init__(self, variants: Sequence[str], **kwargs: Any) -> None:
-        EzPickle.__init__(self, variants, **kwargs)
-        self._begin([Variant.parse(variant) for variant in variants], kwargs)
-
-    def _begin(self, variants: Sequence[Variant], kwargs: dict[str, Any]) -> None:
-        robots = sorted({variant.robot for variant in variants})
+    def __init__(
+        self, variants: Sequence[str] = (), models: Mapping[str, str] | None = None, **kwargs: Any
+    ) -> None:
+        EzPickle.__init__(self, variants, models, **kwargs)
+        self._models = dict(models or {})
+        kind = OriginalVariant if self._models else Variant
+        parsed = [kind.parse(variant) for variant in self._models or variants]
+        robots = sorted({variant.robot for variant in parsed})
         if len(robots) != 1:
             raise VariantError(
                 f"a collection holds variants of one robot, not of {', '.join(robots) or 'none'}"
             )
-        self.variants = tuple(str(variant) for variant in variants)
+        self.variants = tuple(str(variant) for variant in parsed)
         self.render_mode = kwargs.get("render_mode")
         self._kwargs = kwargs
         self._environments: dict[str, VariantEnv] = {}
@@ -206,7 +218,7 @@ class CollectionEnv(gym.Env[Any, Any], EzPickle):
         observation, info = self._current.reset(seed=seed)
         return observation, info | {"variant": name}
 
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+    def step(self, action: Array) -> tuple[Array, Any, bool, bool, dict[str, Any]]:
         """Step the present variant's environment."""
         return self._current.step(action)
 
@@ -221,8 +233,7 @@ class CollectionEnv(gym.Env[Any, Any], EzPickle):
 
     def _environment(self, name: str) -> VariantEnv:
         if name not in self._environments:
-            self._environments[name] = self._make(name)
+            spec = environment_spec(name, self._models.get(name))
+            creator = load_env_creator(str(spec.entry_point))
+            self._environments[name] = cast(VariantEnv, creator(**spec.kwargs, **self._kwargs))
         return self._environments[name]
-
-    def _make(self, name: str) -> VariantEnv:
-        return ENVIRONMENTS[Variant.parse(name).robot](name, **self._kwargs)

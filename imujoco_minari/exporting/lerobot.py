@@ -15,15 +15,16 @@ from numpy.typing import NDArray
 
 from imujoco_minari.errors import missing_dependency
 from imujoco_minari.loading import Arrays
+from imujoco_minari.variants import ROBOTS, specification
 
 VERSION = "v3.0"
-# Environment steps a second: MuJoCo's time step times Gymnasium's frame skip.
-STEPS_PER_SECOND = {"hopper": 125, "halfcheetah": 20, "walker2d": 125}
 
 _PATH = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 # Frames of a file. At 200 bytes each, a file stays below the 100 MB that LeRobot recommends.
 _FILE_FRAMES = 500_000
 _FILES_A_CHUNK = 1000
+# Frames a second of data that names no robot.
+_UNKNOWN_RATE = 100
 _QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 
 Columns = dict[str, NDArray[Any]]
@@ -39,7 +40,8 @@ def write(data: Arrays, target: Path, *, states_only: bool) -> None:
         import pyarrow  # noqa: F401
     except ImportError:
         raise missing_dependency("pyarrow", "lerobot", "the format lerobot") from None
-    rate = STEPS_PER_SECOND.get(data.table[0].robot, 100)
+    robot = data.table[0].robot
+    rate = specification(robot).steps_per_second if robot in ROBOTS else _UNKNOWN_RATE
     columns = _columns(data, rate, states_only)
     files = _files(data)
     for number in np.unique(files):

@@ -122,7 +122,7 @@ def _against(variant: OriginalVariant) -> str:
     return str(variant.ours or variant.base)
 
 
-def _more_differences(ours: Any, theirs: Any) -> list[Difference]:
+def _more_differences(ours: mujoco.MjModel, theirs: mujoco.MjModel) -> list[Difference]:
     """Return differences in what no category of ours changes, and so in nothing that ``show`` lists."""
     found: list[Difference] = []
 
@@ -146,7 +146,7 @@ def _more_differences(ours: Any, theirs: Any) -> list[Difference]:
     return found
 
 
-def _anchors(model: Any) -> Any:
+def _anchors(model: mujoco.MjModel) -> Any:
     """Return where the joints are in the rest pose, ``(joints, 3)`` in m."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

@@ -17,15 +17,13 @@ from numpy.typing import NDArray
 from imujoco_minari.envs.registration import MAX_EPISODE_STEPS
 from imujoco_minari.errors import DatasetError, suggestion
 from imujoco_minari.importing.transitions import Transitions, checked
-from imujoco_minari.policies import SIZES
+from imujoco_minari.variants import specification
 
 Array = NDArray[Any]
 
 # The one array of the original's npz files.
 ARRAY = "data"
 
-# Index of the forward velocity in the observation, cost of a squared action, reward for being healthy.
-_REWARD = {"hopper": (5, 1e-3, 1.0), "halfcheetah": (8, 0.1, 0.0), "walker2d": (8, 1e-3, 1.0)}
 _COLUMNS = ("observation", "action", "reward", "next_observation", "done", "terminated", "skip")
 _EXAMPLE = "observation,action,reward,done"
 
@@ -125,7 +123,7 @@ def read_table(
 
 
 def _detect(table: Array, robot: str, name: str) -> tuple[Layout, list[Check]]:
-    between = table.shape[1] - sum(SIZES[robot]) - 1
+    between = table.shape[1] - sum(specification(robot).sizes) - 1
     candidates = [
         layout(",".join(("observation", "action", *middle, "done")), robot)
         for middle in (
@@ -141,7 +139,7 @@ def _detect(table: Array, robot: str, name: str) -> tuple[Layout, list[Check]]:
     fitting = [(candidate, checks) for candidate, checks in tried if all(check.passed for check in checks)]
     if len(fitting) == 1:
         return fitting[0]
-    known = sum(SIZES[robot])
+    known = sum(specification(robot).sizes)
     head = f"{name}: has {table.shape[1]} columns, {known} of them {robot}'s observation and action"
     if not candidates:
         found = f"the {max(between + 1, 0)} others are not reward, next observation and done"
@@ -190,9 +188,10 @@ def _check_next(rows: Transitions) -> Check:
 def _check_reward(rows: Transitions, robot: str) -> Check:
     """Compare with the formula; the velocity over a step lies near the mean of those at its ends."""
     assert rows.rewards is not None
-    index, cost, healthy = _REWARD[robot]
+    page = specification(robot)
+    cost, healthy = page.reward.control_cost, page.reward.healthy
     inner = np.flatnonzero(_inner(rows))
-    velocity = rows.observations[:, index].astype(np.float64)
+    velocity = rows.observations[:, page.forward_velocity].astype(np.float64)
     expected = (velocity[inner] + velocity[inner + 1]) / 2
     given = (
         rows.rewards[inner] + cost * np.square(rows.actions[inner].astype(np.float64)).sum(axis=1) - healthy
@@ -232,4 +231,5 @@ def _transitions(table: Array, found: Layout) -> Transitions:
 
 
 def _size(name: str, robot: str) -> int:
-    return SIZES[robot][1] if name == "action" else SIZES[robot][0] if name.endswith("observation") else 1
+    observation, action = specification(robot).sizes
+    return action if name == "action" else observation if name.endswith("observation") else 1

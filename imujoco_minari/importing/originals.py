@@ -13,18 +13,19 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from minari.data_collector import EpisodeBuffer
 
+from imujoco_minari.envs import environment_spec
 from imujoco_minari.errors import DatasetError, ImujocoError
 from imujoco_minari.importing.archive import Archive
 from imujoco_minari.importing.columns import ARRAY, Layout, read_table
 from imujoco_minari.importing.physics import Physics
 from imujoco_minari.importing.safe_unpack import Array, read_npz
 from imujoco_minari.importing.transitions import Cut, Transitions, cut, episodes, fidelity
-from imujoco_minari.policies import SIZES, Policy, RandomPolicy, read_actor
+from imujoco_minari.policies import Policy, RandomPolicy, read_actor
 from imujoco_minari.policies.rollouts import episode_seed, evaluate
 from imujoco_minari.publishing.publisher import NewDataset, Published, publish_episodes
 from imujoco_minari.storage import file_format
 from imujoco_minari.storage.metadata import provenance
-from imujoco_minari.variants import EXPERT
+from imujoco_minari.variants import EXPERT, specification
 from imujoco_minari.variants.original import CATALOGUE, ORIGINAL, RECOLLECTED, OriginalVariant
 
 AUTHORS = frozenset({"Massimiliano Patacchiola", "Mingfei Sun", "Katja Hofmann", "Richard E. Turner"})
@@ -85,7 +86,7 @@ def import_variant(archive: Archive, variant: OriginalVariant, how: Import) -> P
     with member.on_disk() as path:
         table, digest = _table(path, str(member)), file_format.file_sha256(path)
     transitions, layout, checks = read_table(table, variant.robot, str(member), how.columns)
-    spec = variant.environment_spec(mjcf)
+    spec = environment_spec(variant, mjcf)
     with Physics(spec) as physics:
         found = cut(transitions, physics)
         near = fidelity(transitions, found, physics)
@@ -114,7 +115,7 @@ def recollect(archive: Archive, variant: OriginalVariant, how: Import) -> Publis
         policy = read_actor(path)
         digest = file_format.file_sha256(path)
     policy.check(variant.robot)
-    spec = variant.environment_spec(mjcf)
+    spec = environment_spec(variant, mjcf)
     description = (
         f"The original iMuJoCo policy of {variant}, from {SOURCE}, rolled out deterministically for "
         f"{how.episodes} episodes in the original model under Gymnasium's v5 rules and MuJoCo "
@@ -169,9 +170,9 @@ def _attributes(variant: OriginalVariant, tier: str) -> dict[str, Any]:
 
 def _common(variant: OriginalVariant, spec: EnvSpec, algorithm: str, description: str) -> dict[str, Any]:
     """Return the metadata that imported and recollected datasets share."""
-    env = gym.make(spec)
+    env, policy = gym.make(spec), RandomPolicy(specification(variant.robot).action_size)
     try:
-        random = evaluate(env, RandomPolicy(SIZES[variant.robot][1]), episodes=REFERENCE_EPISODES)
+        random = evaluate(env, policy, episodes=REFERENCE_EPISODES)
     finally:
         env.close()
     return {

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from imujoco_minari.envs.registration import MAX_EPISODE_STEPS
 from imujoco_minari.errors import DatasetError
 from imujoco_minari.importing.physics import Fidelity, Physics
-from imujoco_minari.policies import SIZES
+from imujoco_minari.variants import specification
 
 Array = NDArray[Any]
 
@@ -75,7 +75,7 @@ def checked(transitions: Transitions, robot: str, name: str) -> Transitions:
     Raises:
         DatasetError: when they are none, not the robot's in shape, not finite, or no actions of the robot.
     """
-    sizes, rows = SIZES[robot], len(transitions)
+    sizes, rows = specification(robot).sizes, len(transitions)
     if not rows:
         raise DatasetError(f"{name}: holds no steps")
     for what, array, shape in (

@@ -4,7 +4,7 @@ This package reads and writes policies, chooses the policies of each tier, runs 
 evaluates them. It knows nothing of datasets.
 """
 
-from imujoco_minari.policies.actors import LANES, SIZES, Actor, Array, Policy, RandomPolicy
+from imujoco_minari.policies.actors import LANES, Actor, Array, Policy, RandomPolicy
 from imujoco_minari.policies.experts import (
     agent_file,
     expert_actor,
@@ -18,7 +18,6 @@ from imujoco_minari.policies.files import read_actor
 
 __all__ = [
     "LANES",
-    "SIZES",
     "Actor",
     "Array",
     "Policy",

@@ -16,11 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imujoco_minari.errors import PolicyError
+from imujoco_minari.variants import ROBOTS, specification
 
 Array = NDArray[Any]
-
-# Observation and action sizes of the robots' v5 environments.
-SIZES = {"hopper": (11, 3), "halfcheetah": (17, 6), "walker2d": (17, 6)}
 
 _LOG_STD_RANGE = (-20.0, 2.0)
 _ACTIVATIONS = ("ReLU", "Tanh", "ELU", "SiLU")
@@ -162,12 +160,12 @@ class Actor:
     def check(self, robot: str) -> None:
         """Raise a :class:`PolicyError` unless the actor fits ``robot``."""
         sizes = (self.observation_size, self.action_size)
-        if sizes != SIZES[robot]:
-            fits = [name for name, expected in SIZES.items() if expected == sizes]
+        expected = specification(robot).sizes
+        if sizes != expected:
+            fits = [name for name in ROBOTS if specification(name).sizes == sizes]
             raise PolicyError(
                 f"the policy maps {sizes[0]} observations to {sizes[1]} actions, but {robot} has "
-                f"{SIZES[robot][0]} and {SIZES[robot][1]}"
-                + (f"; it fits {' and '.join(fits)}" if fits else "")
+                f"{expected[0]} and {expected[1]}" + (f"; it fits {' and '.join(fits)}" if fits else "")
             )
 
     @cached_property

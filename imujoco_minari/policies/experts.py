@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from imujoco_minari.errors import PolicyError, PolicyNotFoundError
-from imujoco_minari.policies.actors import SIZES, Actor, Policy, RandomPolicy
+from imujoco_minari.policies.actors import Actor, Policy, RandomPolicy
 from imujoco_minari.policies.files import actor_of_bytes, read_actor
-from imujoco_minari.variants import EXPERT, Variant
+from imujoco_minari.variants import EXPERT, Variant, specification
 
 
 def load_policy(
@@ -37,7 +37,7 @@ def load_policy(
         actor.check(variant.robot)
         return actor
     if tier == "random":
-        return RandomPolicy(SIZES[variant.robot][1])
+        return RandomPolicy(specification(variant.robot).action_size)
     if tier == EXPERT:
         return expert_actor(variant, deterministic=not stochastic)
     raise PolicyNotFoundError(f"no single policy makes the tier {tier!r}; valid: {EXPERT}, random, or a path")

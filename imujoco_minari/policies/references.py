@@ -9,9 +9,9 @@ from functools import lru_cache
 from typing import Any
 
 from imujoco_minari.envs.registration import make
-from imujoco_minari.policies import SIZES, RandomPolicy, expert_record
+from imujoco_minari.policies import RandomPolicy, expert_record
 from imujoco_minari.policies.rollouts import Evaluation, evaluate
-from imujoco_minari.variants import Variant
+from imujoco_minari.variants import Variant, specification
 
 EPISODES = 100
 
@@ -40,6 +40,6 @@ def random_evaluation(variant: Variant) -> Evaluation:
     """Roll the random policy out for 100 episodes of ``variant`` and return what it scores."""
     env = make(variant)
     try:
-        return evaluate(env, RandomPolicy(SIZES[variant.robot][1]), episodes=EPISODES)
+        return evaluate(env, RandomPolicy(specification(variant.robot).action_size), episodes=EPISODES)
     finally:
         env.close()

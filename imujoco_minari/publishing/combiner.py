@@ -21,21 +21,14 @@ from gymnasium.envs.registration import EnvSpec
 from minari import MinariDataset
 from minari.dataset.minari_storage import MinariStorage
 
-from imujoco_minari.envs.registration import collection_spec, environment_spec
+from imujoco_minari.envs.registration import dataset_spec, stored_models
 from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError
 from imujoco_minari.publishing.sources import Source, check_sources, open_source
 from imujoco_minari.storage import copying, file_format, minari_root
 from imujoco_minari.storage.metadata import complete_metadata, provenance
 from imujoco_minari.storage.quiet_file import writing
-from imujoco_minari.variants import EXPERT, NAMESPACE, Variant, catalogue
-from imujoco_minari.variants.original import (
-    CATALOGUE,
-    ORIGINAL,
-    OriginalVariant,
-    is_original,
-    models_of,
-    originals_spec,
-)
+from imujoco_minari.variants import EXPERT, NAMESPACE, catalogue
+from imujoco_minari.variants.original import CATALOGUE, ORIGINAL
 from imujoco_minari.verification.child_process import survives
 
 
@@ -230,20 +223,17 @@ def _metadata(sources: Sequence[Source], dataset_id: str, written: _Written) -> 
         "combined_datasets": [source.dataset_id for source in sources],
         "total_episodes": len(attributes),
         "total_steps": written.steps,
-        **({CATALOGUE: ORIGINAL} if is_original(sources[0].metadata) else {}),
+        **({CATALOGUE: ORIGINAL} if spec is not None and stored_models(spec.kwargs) else {}),
         **({} if spec is None else {"env_spec": spec.to_json()}),
         **{key: _plain(value) for key, value in written.stated.items()},
     }
 
 
 def _env_spec(sources: Sequence[Source], dataset_id: str, attributes: list[dict[str, Any]]) -> EnvSpec | None:
-    if any(is_original(source.metadata) for source in sources):
-        return originals_spec(_collection_name(dataset_id), _original_models(sources))
+    models = _models(sources)
     names = list(dict.fromkeys(str(attrs["variant"]) for attrs in attributes if "variant" in attrs))
-    if len(names) == 1:
-        return environment_spec(names[0])
     if names:
-        return collection_spec(_collection_name(dataset_id), [Variant.parse(name) for name in names])
+        return dataset_spec(_collection_name(dataset_id), names, models)
     specs = [source.env_spec for source in sources]
     if any(spec != specs[0] for spec in specs):
         raise DatasetError("the datasets are of different environments, and none of them is a variant's")
@@ -254,16 +244,17 @@ def _collection_name(dataset_id: str) -> str:
     return dataset_id.rpartition("/")[2].rpartition("-v")[0]
 
 
-def _original_models(sources: Sequence[Source]) -> dict[OriginalVariant, str]:
-    """Return the models of sources that all hold the original's variants, whose ids do not imply them."""
-    models: dict[OriginalVariant, str] = {}
-    for source in sources:
-        if not is_original(source.metadata) or source.env_spec is None:
+def _models(sources: Sequence[Source]) -> dict[str, str]:
+    """Return variant id -> MJCF text for sources of the original archive's variants; empty for others."""
+    stored = [stored_models(source.env_spec.kwargs) if source.env_spec else {} for source in sources]
+    models: dict[str, str] = {}
+    for source, own in zip(sources, stored, strict=True):
+        if any(stored) and not own:
             raise DatasetError(
                 f"{source.dataset_id} does not hold the original's variants, as others here do: "
                 "their environments differ even where their ids do not, and cannot be combined"
             )
-        for variant, mjcf in models_of(source.env_spec.kwargs).items():
+        for variant, mjcf in own.items():
             if models.setdefault(variant, mjcf) != mjcf:
                 raise DatasetError(
                     f"{source.dataset_id}: its model of {variant} is not that of another source"

@@ -1,4 +1,4 @@
-"""Hyperparameters as data: ``hyperparameters.toml``, with the reason for each, layered by robot and start."""
+"""Hyperparameters as data: ``hyperparameters.toml`` gives a reason for each; a robot's page may differ."""
 
 from __future__ import annotations
 
@@ -9,15 +9,9 @@ from importlib import resources
 from typing import Any
 
 from imujoco_minari.errors import CatalogueError
+from imujoco_minari.variants import specification
 
-SCRATCH, FAR, WARM, NEAR, GENERALIST, IMPROVE = _STARTS = (
-    "scratch",
-    "far",
-    "warm",
-    "near",
-    "generalist",
-    "improve",
-)
+SCRATCH, FAR, WARM, NEAR, GENERALIST, IMPROVE = "scratch", "far", "warm", "near", "generalist", "improve"
 
 
 @dataclass(frozen=True)
@@ -89,10 +83,9 @@ def hyperparameters(robot: str, start: str, **changes: Any) -> Hyperparameters:
     Raises:
         CatalogueError: when a key is unknown.
     """
-    table = _table()
-    own = table.get(robot, {})
-    layers = (table["all"], table[start], own, own.get(start, {}), changes)
-    values = {key: value for layer in layers for key, value in layer.items() if key not in _STARTS}
+    table, own = _table(), specification(robot).training
+    layers = (table["all"], table[start], own.get(start, {}), changes)
+    values = {key: value for layer in layers for key, value in layer.items()}
     known = {field.name for field in fields(Hyperparameters)}
     unknown = sorted(set(values) - known)
     if unknown:

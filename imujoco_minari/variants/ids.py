@@ -1,7 +1,6 @@
-"""Variant ids: what a variant is, how its id is written and read, and which ids the catalogue lists.
+"""Variant ids: their one parser, their one formatter, and the catalogue's list.
 
-The words are the benchmark's: a *variant* is a robot with one *category* of physical parameter
-changed by a signed *percent* on one *body*. This module holds the one parser and the one formatter of ids.
+A *variant* is a robot with one *category* of physical parameter changed by a signed *percent* on one *body*.
 """
 
 from __future__ import annotations
@@ -10,6 +9,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import ClassVar
 
 from imujoco_minari.errors import VariantError, clipped, suggestion
 from imujoco_minari.variants.robots import CATEGORIES, ROBOTS, specification
@@ -32,7 +32,7 @@ class Variant:
     """One robot with one physical parameter changed, or the unchanged base robot.
 
     Attributes:
-        robot: ``hopper``, ``halfcheetah`` or ``walker2d``.
+        robot: one of ``ROBOTS``, as in ``hopper``.
         category: ``mass``, ``joint``, ``length`` or ``friction``; ``base`` for the base robot.
         percent: signed change in percent of the base value; 0 for the base robot.
         body: the MJCF name without underscores, ``feet`` for friction; empty for the base robot.
@@ -40,6 +40,9 @@ class Variant:
     Raises:
         VariantError: when the four do not name a variant.
     """
+
+    # The namespace of the ids of environments and datasets. Other catalogues have others.
+    namespace: ClassVar[str] = NAMESPACE
 
     robot: str
     category: str
@@ -120,7 +123,7 @@ class Variant:
 
     @property
     def factor(self) -> float:
-        """What the base value is multiplied by, ``1 + percent / 100``."""
+        """The factor on the base value, ``1 + percent / 100``."""
         return (100 + self.percent) / 100
 
     @property
@@ -148,7 +151,7 @@ class Variant:
     @property
     def environment_id(self) -> str:
         """The Gymnasium id, ``imujoco/<variant>-v0``."""
-        return f"{NAMESPACE}/{self}-v0"
+        return f"{self.namespace}/{self}-v0"
 
     def dataset_id(self, tier: str = EXPERT) -> str:
         """The Minari id of this variant's data of ``tier``; the expert's is the plain id.
@@ -161,7 +164,7 @@ class Variant:
                 f"malformed tier {clipped(tier)!r}; valid: lower-case words, as in expert, medium, random"
             )
         suffix = "" if tier == EXPERT else f"-{tier}"
-        return f"{NAMESPACE}/{self}{suffix}-v0"
+        return f"{self.namespace}/{self}{suffix}-v0"
 
 
 def catalogue(robot: str | None = None, category: str | None = None) -> tuple[Variant, ...]:
@@ -185,7 +188,7 @@ def catalogue(robot: str | None = None, category: str | None = None) -> tuple[Va
 
 
 def bases() -> tuple[Variant, ...]:
-    """Return the three unchanged robots, which the 154 do not count."""
+    """Return the unchanged robots. The catalogue's 154 variants do not include them."""
     return tuple(Variant(robot, BASE, 0, "") for robot in ROBOTS)
 
 

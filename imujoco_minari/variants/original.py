@@ -1,9 +1,7 @@
-"""The original benchmark's variants: their ids, their dataset ids and their environments.
+"""The variants of the original archive: their ids.
 
-An original variant is named by the archive's grammar, which is ours, but its bodies and percents are
-the archive's own and need not be in our catalogue. Its environment is Gymnasium's v5 environment of the
-robot around the archive's model; the model's text stands in the environment's spec, so that a dataset
-recovers its environment wherever this package is installed, without the archive.
+The archive's grammar of ids is ours, but its bodies and percents are its own and need not be in our
+catalogue. The model of such a variant does not follow from its id: the dataset stores its MJCF text.
 """
 
 from __future__ import annotations
@@ -11,17 +9,14 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
-from gymnasium.envs.registration import EnvSpec
-
-from imujoco_minari.envs.registration import MAX_EPISODE_STEPS
 from imujoco_minari.errors import VariantError
-from imujoco_minari.variants import BASE, CATEGORIES, MAX_PERCENT, NAMESPACE, ROBOTS, Variant, specification
+from imujoco_minari.variants import BASE, CATEGORIES, MAX_PERCENT, ROBOTS, Variant, specification
 
 ORIGINAL = "imujoco-original"
 RECOLLECTED = "recollected"
-# The attribute by which an episode says that its variant is not one of ours.
+# The attribute that marks episodes of variants that are not in our grammar; its value is ORIGINAL.
 CATALOGUE = "catalogue"
 
 _ID = re.compile(
@@ -29,20 +24,17 @@ _ID = re.compile(
     r"_(?P<percent>[0-9]{1,5})_(?P<body>[A-Za-z0-9_]{1,40})",
     re.ASCII,
 )
-_CLASS = {
-    "hopper": "OriginalHopperEnv",
-    "halfcheetah": "OriginalHalfCheetahEnv",
-    "walker2d": "OriginalWalker2dEnv",
-}
 
 
 @dataclass(frozen=True, order=True)
 class OriginalVariant(Variant):
-    """A variant of the original's archive; its body is the archive's word, whatever our catalogue lists.
+    """A variant of the original archive. Its body is the archive's word, whatever our catalogue lists.
 
     Raises:
         VariantError: when robot or category is not the benchmark's, or the percent leaves nothing.
     """
+
+    namespace: ClassVar[str] = ORIGINAL
 
     def __post_init__(self) -> None:
         specification(self.robot)
@@ -70,14 +62,11 @@ class OriginalVariant(Variant):
         match = _ID.fullmatch(text)
         if match is None:
             raise VariantError(
-                f"{text[:80]!r} is no variant of the original; "
+                f"{text[:80]!r} is not a variant of the original archive; "
                 "valid: <robot>-<category><inc|dec>_<percent>_<body>, as in hopper-massdec_25_leggeom"
             )
         percent = int(match["percent"]) * (1 if match["sign"] == "inc" else -1)
         return cls(match["robot"], match["category"], percent, match["body"])
-
-    def __str__(self) -> str:
-        return super().__str__()
 
     @property
     def ours(self) -> Variant | None:
@@ -88,68 +77,17 @@ class OriginalVariant(Variant):
             return None
 
     @property
-    def environment_id(self) -> str:
-        """The Gymnasium id, ``imujoco-original/<variant>-v0``."""
-        return f"{ORIGINAL}/{self}-v0"
-
-    def dataset_id(self, tier: str = "expert") -> str:
-        """The Minari id of this variant's data, ``imujoco-original/<variant>[-<tier>]-v0``."""
-        suffix = self.base.dataset_id(tier).removeprefix(f"{NAMESPACE}/{self.base}")
-        return f"{ORIGINAL}/{self}{suffix}"
-
-    def environment_spec(self, mjcf: str) -> EnvSpec:
-        """Return the Gymnasium spec of this variant's environment around the model of ``mjcf``."""
-        return EnvSpec(
-            id=self.environment_id,
-            entry_point=f"imujoco_minari.importing.environments:{_CLASS[self.robot]}",
-            max_episode_steps=MAX_EPISODE_STEPS,
-            kwargs={"variant": str(self), "mjcf": mjcf},
-        )
-
-
-def originals_spec(name: str, models: Mapping[OriginalVariant, str]) -> EnvSpec:
-    """Return the Gymnasium spec of one original variant, or of a collection ``name`` of several.
-
-    Args:
-        name: of the collection, without namespace and version.
-        models: variant -> MJCF text.
-    """
-    if len(models) == 1:
-        ((variant, mjcf),) = models.items()
-        return variant.environment_spec(mjcf)
-    return EnvSpec(
-        id=f"{ORIGINAL}/{name}-v0",
-        entry_point="imujoco_minari.importing.environments:OriginalCollectionEnv",
-        max_episode_steps=MAX_EPISODE_STEPS,
-        kwargs={"models": {str(variant): mjcf for variant, mjcf in models.items()}},
-    )
-
-
-def models_of(arguments: Any) -> dict[OriginalVariant, str]:
-    """Return the models in the arguments of a spec that :func:`originals_spec` made; empty for another.
-
-    Raises:
-        VariantError: when they name no variant.
-    """
-    if not isinstance(arguments, Mapping):
-        return {}
-    models = arguments.get("models", {arguments.get("variant"): arguments.get("mjcf")})
-    if not isinstance(models, Mapping):
-        return {}
-    texts = {str(name): text for name, text in models.items() if isinstance(text, str)}
-    return {OriginalVariant.parse(name): text for name, text in texts.items()}
-
-
-def is_original(attributes: Mapping[str, Any]) -> bool:
-    """Return whether the attributes of a dataset or an episode are those of an original variant."""
-    return bool(attributes.get(CATALOGUE, "") == ORIGINAL)
+    def mjcf_names(self) -> tuple[str, ...]:
+        """Names of what our variant of the same id changes; empty where there is none."""
+        return self.ours.mjcf_names if self.ours else ()
 
 
 def variant_of(attributes: Mapping[str, Any]) -> Variant:
-    """Return the variant, ours or an original's, that the attributes of a dataset or an episode name.
+    """Return the variant that the attributes of a dataset or an episode name, ours or the archive's.
 
     Raises:
         VariantError: when they name none.
-        KeyError: when they say nothing of a variant.
+        KeyError: when they have no ``variant``.
     """
-    return (OriginalVariant if is_original(attributes) else Variant).parse(str(attributes["variant"]))
+    kind = OriginalVariant if attributes.get(CATALOGUE, "") == ORIGINAL else Variant
+    return kind.parse(str(attributes["variant"]))

@@ -22,7 +22,7 @@ from imujoco_minari.storage.metadata import read_metadata
 from imujoco_minari.verification import child_process, digests
 from imujoco_minari.verification.check import check, unreadable
 from imujoco_minari.verification.findings import MAX_FINDINGS, Checked, Finding, shown
-from imujoco_minari.verification.identity import original_models
+from imujoco_minari.verification.identity import dataset_models
 from imujoco_minari.verification.replay import replay
 
 __all__ = ["Checked", "Finding", "check", "inspect", "verify"]
@@ -105,7 +105,7 @@ def _replayed(
             chosen = (
                 range(len(file)) if numbers is None else range(numbers.start, min(numbers.stop, len(file)))
             )
-            for finding in replay(file, chosen, original_models(read_metadata(data)), on_episode):
+            for finding in replay(file, chosen, dataset_models(read_metadata(data)), on_episode):
                 findings.append(finding)
                 if len(findings) >= MAX_FINDINGS:
                     break

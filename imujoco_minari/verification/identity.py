@@ -10,24 +10,15 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from imujoco_minari.envs.registration import collection_spec, environment_spec
-from imujoco_minari.errors import ImujocoError
-from imujoco_minari.policies import SIZES
+from imujoco_minari.envs.registration import current_spec, dataset_spec, is_entry_point, stored_models
+from imujoco_minari.errors import ImujocoError, VariantError
 from imujoco_minari.storage import file_format
-from imujoco_minari.variants import Variant
-from imujoco_minari.variants.original import (
-    CATALOGUE,
-    OriginalVariant,
-    is_original,
-    models_of,
-    originals_spec,
-    variant_of,
-)
+from imujoco_minari.variants import Variant, specification
+from imujoco_minari.variants.original import CATALOGUE, variant_of
 from imujoco_minari.verification.bounded_read import Episode
 from imujoco_minari.verification.findings import Finding, plain, same, shown
 from imujoco_minari.verification.replay import simulator
 
-_ENTRY_POINTS = ("imujoco_minari.envs:", "imujoco_minari.importing.environments:")
 _SPACES = ("observation_space", "action_space")
 
 
@@ -49,11 +40,12 @@ def loadable(metadata: Mapping[str, Any]) -> Iterator[Finding]:
             yield from _env_spec(f"metadata.json/{key}", metadata[key])
 
 
-def original_models(metadata: Mapping[str, Any]) -> dict[OriginalVariant, str]:
-    """Return the models of the original's variants that the dataset's environment holds, if it is of such."""
-    if not is_original(metadata) or not isinstance(metadata.get("env_spec"), str):
+def dataset_models(metadata: Mapping[str, Any]) -> dict[str, str]:
+    """Return variant id -> MJCF text for the models that a dataset stores; empty where ids imply them."""
+    try:
+        return stored_models(json.loads(metadata["env_spec"])["kwargs"])
+    except (ValueError, TypeError, KeyError, RecursionError):
         return {}
-    return models_of(json.loads(metadata["env_spec"]).get("kwargs"))
 
 
 def _is_box(text: Any) -> bool:
@@ -72,13 +64,13 @@ def _is_box(text: Any) -> bool:
 
 def _env_spec(where: str, text: Any) -> Iterator[Finding]:
     try:
-        spec = json.loads(text)
+        spec = current_spec(json.loads(text))
         entry_point, arguments = spec["entry_point"], spec["kwargs"]
         wrappers, vector = spec["additional_wrappers"], spec.get("vector_entry_point")
-    except (ValueError, TypeError, KeyError, RecursionError):
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         yield Finding(where, "is no environment's specification")
         return
-    if not isinstance(entry_point, str) or not entry_point.startswith(_ENTRY_POINTS):
+    if not is_entry_point(entry_point):
         yield Finding(
             where,
             f"makes the environment by {shown(entry_point)}, which is not of this package: do not load it",
@@ -141,7 +133,7 @@ def is_collection(metadata: Mapping[str, Any]) -> bool:
 
 
 def _spaces(metadata: Mapping[str, Any], variant: Variant) -> Iterator[Finding]:
-    for key, size in zip(_SPACES, SIZES[variant.robot], strict=True):
+    for key, size in zip(_SPACES, specification(variant.robot).sizes, strict=True):
         shape = json.loads(metadata[key])["shape"]
         if shape != [size]:
             yield Finding(f"metadata.json/{key}", f"is of shape {shown(shape)}, not [{size}]")
@@ -154,17 +146,14 @@ def _environment(
     if metadata.get("env_spec") is None:
         yield Finding("metadata.json/env_spec", "is missing: no environment can be recovered")
         return
-    spec = json.loads(metadata["env_spec"])
-    originals = [variant for variant in variants if isinstance(variant, OriginalVariant)]
-    if originals:
-        stated = models_of(spec.get("kwargs"))
-        if "mjcf" in root:
-            stated = {originals[0]: str(root["mjcf"])}
-        expected = originals_spec("", {variant: stated.get(variant, "") for variant in originals})
-    elif len(variants) == 1:
-        expected = environment_spec(variants[0])
-    else:
-        expected = collection_spec("", variants)
+    spec, models = current_spec(json.loads(metadata["env_spec"])), dataset_models(metadata)
+    if models and "mjcf" in root:
+        models = {str(variants[0]): str(root["mjcf"])}
+    try:
+        expected = dataset_spec("", variants, models)
+    except VariantError as error:
+        yield Finding("metadata.json/env_spec", f"is not the variant's: {error}")
+        return
     for key in ("entry_point", "kwargs", "max_episode_steps"):
         if spec.get(key) != json.loads(expected.to_json())[key]:
             yield Finding(
@@ -174,7 +163,7 @@ def _environment(
 
 def _root(root: Mapping[str, Any], metadata: Mapping[str, Any]) -> Iterator[Finding]:
     # MuJoCo takes a tenth of a second to import, and the child processes that check parts never come here.
-    from imujoco_minari.envs.mjcf import canonical_mjcf, mjcf_sha256
+    from imujoco_minari.envs.mjcf import mjcf_sha256, model_text
 
     try:
         variant = variant_of(root)
@@ -195,5 +184,5 @@ def _root(root: Mapping[str, Any], metadata: Mapping[str, Any]) -> Iterator[Find
         yield Finding("metadata.json/mjcf_sha256", f"is {shown(metadata.get('mjcf_sha256'))}, not {digest}")
     if mjcf_sha256(text) != digest:
         yield Finding("@mjcf", "does not have the digest that mjcf_sha256 states")
-    elif not isinstance(variant, OriginalVariant) and text != canonical_mjcf(variant):
+    elif text != model_text(variant, text):
         yield Finding("@mjcf", f"is not the model that {simulator()} makes of the variant")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import version
 from typing import Any
@@ -12,15 +13,17 @@ import numpy as np
 
 from imujoco_minari.envs.registration import make
 from imujoco_minari.storage import file_format
-from imujoco_minari.variants import Variant
-from imujoco_minari.variants.original import OriginalVariant, variant_of
+from imujoco_minari.variants.original import variant_of
 from imujoco_minari.verification.findings import Finding
+
+# Processor time (s) that a step may take on average, and that is granted on top. Usual steps take 1e-4 s.
+STEP_SECONDS, START_SECONDS = 0.02, 1.0
 
 
 def replay(
     file: h5py.File,
     episodes: range,
-    originals: Mapping[OriginalVariant, str],
+    models: Mapping[str, str],
     on_episode: Callable[[], None] | None,
 ) -> Iterator[Finding]:
     """Replay episodes from their seeds and actions and compare, bit for bit.
@@ -28,7 +31,7 @@ def replay(
     Args:
         file: the open HDF5 file.
         episodes: numbers of those to replay; imported ones, which have no seed, are passed over.
-        originals: the models of the original's variants, which do not follow from their ids.
+        models: variant id -> MJCF text, where models do not follow from the ids.
         on_episode: called after each.
     """
     environments: dict[str, gym.Env[Any, Any]] = {}
@@ -38,7 +41,7 @@ def replay(
             name = str(group.attrs["variant"])
             if group.attrs.get(file_format.REPLAYABLE, True):
                 if name not in environments:
-                    environments[name] = _environment(variant_of(group.attrs), originals)
+                    environments[name] = make(variant_of(group.attrs), models.get(name))
                 yield from _replay_episode(group, f"episode_{number}", environments[name])
             if on_episode is not None:
                 on_episode()
@@ -47,14 +50,9 @@ def replay(
             env.close()
 
 
-def _environment(variant: Variant, originals: Mapping[OriginalVariant, str]) -> gym.Env[Any, Any]:
-    if isinstance(variant, OriginalVariant):
-        return gym.make(variant.environment_spec(originals[variant]))
-    return make(variant)
-
-
 def _replay_episode(group: h5py.Group, name: str, env: gym.Env[Any, Any]) -> Iterator[Finding]:
     recorded = {key: group[key][()] for key in file_format.ARRAYS}
+    started, clock = time.thread_time(), time.thread_time
     actions, length = recorded["actions"], len(recorded["rewards"])
     replayed = {key: np.empty_like(recorded[key]) for key in file_format.ARRAYS if key != "actions"}
     observations, rewards = replayed["observations"], replayed["rewards"]
@@ -69,6 +67,13 @@ def _replay_episode(group: h5py.Group, name: str, env: gym.Env[Any, Any]) -> Ite
         if terminated or truncated:
             steps = index + 1
             break
+        # To read the clock takes 1e-6 s, a fortieth of a step.
+        if index % 10 == 9 and clock() - started > START_SECONDS + STEP_SECONDS * (index + 1):
+            yield Finding(
+                name,
+                f"was replayed to step {index + 1} only: a step takes more than {STEP_SECONDS} s",
+            )
+            return
     if steps < length:
         yield Finding(name, f"has {length} steps, but its replay ends after {steps}")
     for key, values in replayed.items():

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from imujoco_minari.policies import SIZES
 from imujoco_minari.storage import file_format
+from imujoco_minari.variants import ROBOTS, specification
 from imujoco_minari.verification.bounded_read import Episode
 from imujoco_minari.verification.findings import Finding, same, shown
 
@@ -31,13 +31,14 @@ def arrays(episode: Episode) -> Iterator[Finding]:
     if not steps:
         yield Finding(episode.name, "has no steps")
         return
-    sizes = SIZES.get(str(episode.attributes.get("robot")))
+    robot = str(episode.attributes.get("robot"))
     shapes: dict[str, tuple[int, ...]] = {
         "observations": (steps + 1, *episode.arrays["observations"].shape[1:2]),
         "actions": (steps, *episode.arrays["actions"].shape[1:2]),
     }
-    if sizes is not None:
-        shapes = {"observations": (steps + 1, sizes[0]), "actions": (steps, sizes[1])}
+    if robot in ROBOTS:
+        observation, action = specification(robot).sizes
+        shapes = {"observations": (steps + 1, observation), "actions": (steps, action)}
     for key in file_format.ARRAYS:
         array, expected = episode.arrays[key], shapes.get(key, (steps,))
         if array.shape != expected or array.dtype.kind != _KINDS[key]:

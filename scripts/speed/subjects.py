@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from imujoco_minari.errors import PolicyNotFoundError
-from imujoco_minari.policies import SIZES, Actor, expert_actor, expert_record, read_actor
+from imujoco_minari.policies import Actor, expert_actor, expert_record, read_actor
 from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.storage import minari_root
-from imujoco_minari.variants import Variant, bases, catalogue
+from imujoco_minari.variants import Variant, bases, catalogue, specification
 
 UNTRAINED = "untrained policy, so short episodes"
 
@@ -28,7 +28,7 @@ def actor_of(robot: str, folder: Path | None) -> tuple[Actor, str]:
     try:
         return expert_actor(Variant.parse(f"{robot}-base")), "expert"
     except (PolicyNotFoundError, KeyError):
-        return _untrained(*SIZES[robot]), UNTRAINED
+        return _untrained(*specification(robot).sizes), UNTRAINED
 
 
 def _untrained(observations: int, actions: int) -> Actor:

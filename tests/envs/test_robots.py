@@ -101,7 +101,7 @@ def test_environments_of_one_variant_share_no_model() -> None:
 def test_a_variant_of_another_robot_is_refused() -> None:
     from imujoco_minari.envs.robots import HopperVariantEnv
 
-    with pytest.raises(VariantError, match="no variant of Hopper-v5"):
+    with pytest.raises(VariantError, match="not a variant of Hopper-v5"):
         HopperVariantEnv("walker2d-base")
 
 

@@ -11,9 +11,11 @@ import pytest
 from gymnasium.envs.mujoco.half_cheetah_v5 import HalfCheetahEnv
 from gymnasium.envs.mujoco.hopper_v5 import HopperEnv
 from gymnasium.envs.mujoco.walker2d_v5 import Walker2dEnv
+from gymnasium.envs.registration import load_env_creator
 
+from imujoco_minari.envs import environment_spec
 from imujoco_minari.envs.mjcf import canonical_mjcf, healthy_z_range
-from imujoco_minari.envs.robots import ENVIRONMENTS, VariantEnv
+from imujoco_minari.envs.robots import HopperVariantEnv, VariantEnv
 from imujoco_minari.variants import Variant
 
 STOCK = {"hopper": HopperEnv, "halfcheetah": HalfCheetahEnv, "walker2d": Walker2dEnv}
@@ -47,7 +49,8 @@ def bits(step):
 
 @pytest.mark.parametrize(("name", "kwargs"), CASES, ids=[case[0] for case in CASES])
 def test_steps_as_gymnasium_does_to_the_bit(name, kwargs):
-    ours, stock = ENVIRONMENTS[Variant.parse(name).robot](name, **kwargs), stock_environment(name, **kwargs)
+    ours = load_env_creator(environment_spec(name).entry_point)(name, **kwargs)
+    stock = stock_environment(name, **kwargs)
     actions = np.random.default_rng(0)
     healthy = set()
     for seed in range(4):
@@ -64,7 +67,7 @@ def test_steps_as_gymnasium_does_to_the_bit(name, kwargs):
 
 
 def test_health_is_lost_as_in_gymnasium_where_numbers_are_not_finite():
-    ours, stock = ENVIRONMENTS["hopper"]("hopper-base"), stock_environment("hopper-base")
+    ours, stock = HopperVariantEnv("hopper-base"), stock_environment("hopper-base")
     for value in (np.nan, np.inf, 100.0, 99.0):
         for env in (ours, stock):
             env.reset(seed=0)
@@ -74,7 +77,7 @@ def test_health_is_lost_as_in_gymnasium_where_numbers_are_not_finite():
 
 
 def test_an_action_of_another_shape_is_refused():
-    env = ENVIRONMENTS["hopper"]("hopper-base")
+    env = HopperVariantEnv("hopper-base")
     env.reset(seed=0)
     with pytest.raises(ValueError, match=r"Expected \(3,\), found \(1,\)"):
         env.step(np.zeros(1))

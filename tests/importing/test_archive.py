@@ -13,11 +13,16 @@ import pytest
 
 from imujoco_minari import combine_datasets, verify
 from imujoco_minari.cli.app import run
+from imujoco_minari.envs import environment_spec
+from imujoco_minari.envs.mjcf import canonical_mjcf, mjcf_sha256
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError
 from imujoco_minari.importing.archive import open_archive
 from imujoco_minari.importing.catalogue_diff import published_models
 from imujoco_minari.importing.originals import Import, import_archive, import_variant, recollect
-from imujoco_minari.storage import file_format
+from imujoco_minari.pictures.rendering.recorded import replay
+from imujoco_minari.storage import file_format, minari_root
+from imujoco_minari.storage.metadata import complete_metadata
+from imujoco_minari.variants import Variant
 from imujoco_minari.variants.original import OriginalVariant
 
 HOPPER = "hopper-massdec_25_leggeom"
@@ -117,6 +122,78 @@ def test_recollected_data_replay_bit_for_bit(place: Path) -> None:
         assert file["episode_0"].attrs["seed"] != file["episode_1"].attrs["seed"]
         file["episode_0/rewards"][0] += 1e-9
     assert any("rewards[0]" in finding.where for finding in verify(published.dataset_id))
+
+
+def as_before(dataset_id: str) -> None:
+    """Store the environment of a dataset as versions before VariantEnv took a text did."""
+    path = minari_root.dataset_folder(dataset_id) / "data" / "metadata.json"
+    found = json.loads(path.read_text())
+    today = "imujoco_minari.envs:"
+    assert today in found["env_spec"]
+    spec = found["env_spec"].replace(today, "imujoco_minari.importing.environments:Original")
+    found["env_spec"] = spec.replace("VariantEnv", "Env")
+    path.write_text(json.dumps(found))
+    complete_metadata(path.parent, {})
+
+
+def test_datasets_of_earlier_versions_load_verify_combine_and_replay(tmp_path: Path) -> None:
+    names = (HOPPER, "hopper-massinc_200_torsogeom")
+    archive = open_archive(original_archive.write_archive(tmp_path / "archive", names, 2))
+    how = Import(recollect=True, episodes=2)
+    ids = [recollect(archive, variant, how).dataset_id for variant in archive.variants]
+    as_before(ids[0])
+    assert verify(ids[0]) == []
+    assert "OriginalHopperEnv" in str(metadata(ids[0])["env_spec"])
+    env = minari.load_dataset(ids[0]).recover_environment()
+    assert env.unwrapped.mjcf == archive.mjcf(archive.variants[0])[1]  # type: ignore[attr-defined]
+    env.close()
+    motion = replay(ids[0], 1)
+    assert motion.divergence == 0.0
+    assert motion.variant == archive.variants[0]
+    collection = combine_datasets(ids, "imujoco-original/hopper-two-v0")
+    as_before(collection.id)
+    assert verify(collection.id) == []
+    assert replay(collection.id, 3).divergence == 0.0
+    env = minari.load_dataset(collection.id).recover_environment()
+    assert env.unwrapped.variants == names  # type: ignore[attr-defined]
+    env.close()
+
+
+def test_a_variant_of_ours_takes_no_text_of_a_model(root: Path) -> None:
+    assert run(["publish", "hopper-base", "--tier", "random", "--episodes", "1", "--json"]) == 0
+    path = minari_root.dataset_folder("imujoco/hopper-base-random-v0") / "data" / "metadata.json"
+    found = json.loads(path.read_text())
+    found["env_spec"] = environment_spec(
+        "hopper-base", canonical_mjcf(Variant.parse("hopper-base"))
+    ).to_json()
+    path.write_text(json.dumps(found))
+    complete_metadata(path.parent, {})
+    (finding, *_) = verify("imujoco/hopper-base-random-v0")
+    assert finding.where == "metadata.json/env_spec"
+    assert "follows from its id" in finding.what
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ('<option iterations="+2000000000" tolerance="0"/>', "opt.iterations of the compiled model"),
+        ('<asset><mesh name="m" file="/etc/passwd"/></asset>', "<mesh> is refused"),
+    ],
+)
+def test_verify_ends_whatever_the_stored_model_is(place: Path, change: str, message: str) -> None:
+    """The dataset is consistent: its model is hostile, and all digests are right."""
+    how = Import(recollect=True, episodes=1)
+    dataset_id = recollect(open_archive(place), OriginalVariant.parse(HOPPER), how).dataset_id
+    data = minari_root.dataset_folder(dataset_id) / "data"
+    found = json.loads((data / "metadata.json").read_text())
+    with h5py.File(file_format.main_file(data), "a") as file:
+        text = str(file.attrs["mjcf"]).replace("<worldbody>", f"{change}<worldbody>")
+        file.attrs["mjcf"], file.attrs["mjcf_sha256"] = text, mjcf_sha256(text)
+    found |= {"mjcf_sha256": mjcf_sha256(text), "env_spec": environment_spec(HOPPER, text).to_json()}
+    (data / "metadata.json").write_text(json.dumps(found))
+    complete_metadata(data, {})
+    (finding,) = verify(dataset_id)
+    assert message in finding.what
 
 
 def test_verify_sees_that_an_original_runs_another_model(place: Path) -> None:

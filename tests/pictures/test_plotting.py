@@ -28,10 +28,9 @@ from imujoco_minari.pictures.plotting.datasets import (
 from imujoco_minari.pictures.plotting.quantities import action_quantities, observation_quantities
 from imujoco_minari.pictures.plotting.style import COLOURS, line_style, save
 from imujoco_minari.pictures.plotting.transfer import draw_transfer, plot_transfer
-from imujoco_minari.policies import SIZES
 from imujoco_minari.policies.rollouts import Evaluation
 from imujoco_minari.policies.transfer import Transfer, columns
-from imujoco_minari.variants import Variant
+from imujoco_minari.variants import ROBOTS, Variant, specification
 
 pytest.importorskip("matplotlib")
 
@@ -48,11 +47,11 @@ def series() -> list[Series]:
 # What the columns are
 
 
-@pytest.mark.parametrize("robot", SIZES)
+@pytest.mark.parametrize("robot", ROBOTS)
 def test_every_column_has_a_name_and_a_unit(robot: str) -> None:
     observations, actions = observation_quantities(robot), action_quantities(robot)
-    assert (len(observations), len(actions)) == SIZES[robot]
-    assert len({*observations, *actions}) == sum(SIZES[robot])
+    assert (len(observations), len(actions)) == specification(robot).sizes
+    assert len({*observations, *actions}) == sum(specification(robot).sizes)
     assert {quantity.unit for quantity in observations} == {"m", "rad", "m/s", "rad/s"}
 
 

@@ -42,13 +42,13 @@ from imujoco_minari.pictures.rendering.portraits import portraits, stance
 from imujoco_minari.pictures.rendering.recorded import replay
 from imujoco_minari.pictures.rendering.scene import COLOURS, NEAR, scene_model
 from imujoco_minari.pictures.rendering.source import of_dataset, of_variant
-from imujoco_minari.policies import SIZES, RandomPolicy
-from imujoco_minari.variants import Variant, bases, catalogue
+from imujoco_minari.policies import RandomPolicy
+from imujoco_minari.variants import ROBOTS, Variant, bases, catalogue, specification
 
 HOPPER = Variant.parse("hopper-massdec_25_leggeom")
 ONE_A_KIND = [
     next(variant for variant in catalogue(robot, category))
-    for robot in SIZES
+    for robot in ROBOTS
     for category in ("mass", "joint", "length", "friction")
 ]
 
@@ -66,7 +66,7 @@ def opengl() -> Iterator[str]:
 
 
 def moved(variant: Variant, seconds: float | None = None) -> Motion:
-    return perform(variant, RandomPolicy(SIZES[variant.robot][1]), seed=3, seconds=seconds)
+    return perform(variant, RandomPolicy(specification(variant.robot).action_size), seed=3, seconds=seconds)
 
 
 # What moves
@@ -152,7 +152,11 @@ def test_an_episode_that_does_not_say_how_it_was_made_is_named() -> None:
         replay(published.dataset_id)
     with h5py.File(published.path / "data" / "main_data.hdf5", "a") as file:
         file["episode_0"].attrs["catalogue"] = "imujoco-original"
-    with pytest.raises(DatasetError, match="of the original's archive"):
+    with pytest.raises(DatasetError, match=r"episode 0 cannot be read: .*seed"):
+        replay(published.dataset_id)
+    with h5py.File(published.path / "data" / "main_data.hdf5", "a") as file:
+        file["episode_0"].attrs["seed"] = 0
+    with pytest.raises(VariantError, match="needs the text of its model"):
         replay(published.dataset_id)
 
 
@@ -289,7 +293,7 @@ def test_the_caption_says_what_changes(name: str, words: str) -> None:
 # Frames
 
 
-@pytest.mark.parametrize("robot", SIZES)
+@pytest.mark.parametrize("robot", ROBOTS)
 def test_a_video_runs_as_fast_as_the_simulation(robot: str) -> None:
     motion = moved(Variant(robot, "base", 0, ""), seconds=1.0)
     tempo = pace([motion])

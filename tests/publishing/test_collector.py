@@ -14,12 +14,12 @@ import pytest
 from minari.dataset.minari_storage import MinariStorage
 
 from imujoco_minari.envs.registration import make
-from imujoco_minari.policies import LANES, SIZES, Actor, RandomPolicy
+from imujoco_minari.policies import LANES, Actor, RandomPolicy
 from imujoco_minari.policies.rollouts import episode_seed, roll_out
 from imujoco_minari.publishing.collector import StorageCollector, collect
 from imujoco_minari.storage import file_format
 from imujoco_minari.storage.writer import EpisodeStorage, new_storage
-from imujoco_minari.variants import Variant
+from imujoco_minari.variants import Variant, specification
 
 ROBOTS = ("hopper", "halfcheetah", "walker2d")
 
@@ -73,7 +73,7 @@ def collector_in(folder, env):
 
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_records_what_the_stock_collector_records(robot, tmp_path, stock_warnings):
-    policy = RandomPolicy(SIZES[robot][1])
+    policy = RandomPolicy(specification(robot).action_size)
     collector = collector_in(tmp_path / "ours", short(robot))
     for episode in range(3):
         roll_out(collector, policy, episode_seed(5, episode))

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imujoco_minari.errors import CatalogueError, ImujocoError, VariantError
+from imujoco_minari.errors import ImujocoError, VariantError
 from imujoco_minari.variants import (
     CATEGORIES,
     ROBOTS,
@@ -17,7 +17,6 @@ from imujoco_minari.variants import (
     bases,
     catalogue,
     parse_dataset_id,
-    parse_specification,
     specification,
 )
 
@@ -128,37 +127,3 @@ def test_a_wrong_id_says_what_is_wrong_and_what_is_right(text: str, words: list[
 def test_a_wrong_tier_is_refused(tier: str) -> None:
     with pytest.raises(VariantError, match="malformed tier"):
         Variant.parse("hopper-base").dataset_id(tier)
-
-
-GOOD = """
-environment = "Hopper-v5"
-model = "hopper.xml"
-feet = ["foot_geom"]
-healthy_z_range = [0.7, inf]
-""" + "".join(f'[{category}]\npercents = [-50]\nbodies = ["foot_geom"]\n' for category in CATEGORIES)
-
-
-def test_a_specification_reads_back_what_it_says() -> None:
-    parsed = parse_specification(GOOD, "good.toml")
-    assert parsed.environment == "Hopper-v5"
-    assert parsed.healthy_z_range == (0.7, float("inf"))
-    assert parsed.changes["mass"].bodies == {"footgeom": ("foot_geom",)}
-
-
-@pytest.mark.parametrize(
-    ("before", "after", "words"),
-    [
-        ("environment", "enviroment", ["unknown key 'enviroment'", "did you mean 'environment'"]),
-        ("[mass]\npercents = [-50]", "[mass]\npercents = [-100]", ["[mass]", "above -100"]),
-        ("[mass]\npercents = [-50]", "[mass]\npercents = [0]", ["not 0"]),
-        ("[mass]\npercents = [-50]", "[mass]\npercent = [-50]", ["[mass] must hold percents and bodies"]),
-        ('feet = ["foot_geom"]', "feet = 3", ["feet must be a list"]),
-        ("[0.7, inf]", "[0.7]", ["healthy_z_range"]),
-        ("environment =", "environment = =", ["not TOML"]),
-    ],
-)
-def test_a_wrong_specification_is_named(before: str, after: str, words: list[str]) -> None:
-    assert before in GOOD
-    with pytest.raises(CatalogueError) as caught:
-        parse_specification(GOOD.replace(before, after, 1), "bad.toml")
-    assert all(word in str(caught.value) for word in ["bad.toml", *words]), caught.value

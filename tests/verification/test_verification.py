@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -430,39 +434,67 @@ class TestLinkedCollections:
         assert found(linked)
 
 
+class TestReplayBudget:
+    """Steps that take for ever."""
+
+    def test_an_episode_whose_steps_are_slow_is_a_finding(
+        self, data: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        module = import_module("imujoco_minari.verification.replay")
+        monkeypatch.setattr(module, "START_SECONDS", 0.0)
+        monkeypatch.setattr(module, "STEP_SECONDS", 1e-7)
+        findings = verify(ID)
+        assert [finding.where for finding in findings] == [f"episode_{n}" for n in range(EPISODES)]
+        assert "was replayed to step 10 only: a step takes more than 1e-07 s" in findings[0].what
+
+
 class TestScreening:
     """Files that would take the process down."""
 
-    def child(self, monkeypatch: pytest.MonkeyPatch, code: str) -> None:
-        monkeypatch.setattr(child_process, "_CHECK", code)
+    def child(self, monkeypatch: pytest.MonkeyPatch, function: str) -> None:
+        monkeypatch.setattr(child_process, "_CHECK", f"limited_calls:{function}")
 
     def test_a_crash_is_a_finding(self, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.child(monkeypatch, "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
+        self.child(monkeypatch, "crash")
         assert [str(f) for f in verify(ID)] == [
-            "main_data.hdf5: is damaged so that reading it kills the process (SIGSEGV)"
+            "main_data.hdf5: cannot be read: reading it kills the process (SIGSEGV)"
         ]
 
     def test_what_kills_the_child_is_told_from_damage(
         self, data: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        self.child(monkeypatch, "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
+        self.child(monkeypatch, "crash")
         flip(file_format.main_file(data), 0)
         changed, killed = map(str, verify(ID))
         assert "has changed since it was published" in changed
         assert "SIGSEGV" in killed
 
     def test_a_hang_is_a_finding(self, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.child(monkeypatch, "import time; time.sleep(60)")
-        monkeypatch.setattr(child_process, "_START_SECONDS", 0.2)
+        self.child(monkeypatch, "compute")
+        monkeypatch.setattr(child_process, "_SECONDS", 1)
         monkeypatch.setattr(child_process, "_BYTES_PER_SECOND", 10**12)
-        assert "cannot be read within" in str(verify(ID)[0])
+        assert "reading it takes more than 1 seconds of processor time" in str(verify(ID)[0])
 
     def test_a_child_that_says_nothing_is_a_finding(
         self, data: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        self.child(monkeypatch, "pass")
+        self.child(monkeypatch, "nothing")
         assert "gave no answer" in str(verify(ID)[0])
 
     def test_a_failure_is_a_finding(self, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.child(monkeypatch, "raise MemoryError('too much')")
-        assert "MemoryError: too much" in str(verify(ID)[0])
+        self.child(monkeypatch, "fail")
+        assert "reading it fails: ValueError: too much" in str(verify(ID)[0])
+
+    def test_a_smaller_limit_of_the_system_is_no_finding(self, data: Path, root: Path) -> None:
+        """As on a cluster with `ulimit -v 6000000`, which is below what a child is given at most."""
+        allowed = 6_000_000 * 1024
+        assert allowed < child_process.MAX_MEMORY_BYTES
+        done = subprocess.run(
+            [sys.executable, "-m", "imujoco_minari", "verify", ID],
+            env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (allowed, allowed)),
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stdout + done.stderr

@@ -8,17 +8,16 @@ import numpy as np
 import pytest
 from safetensors.numpy import save_file
 
-from imujoco_minari.policies import SIZES
 from imujoco_minari.publishing.publisher import publish, publish_all
 from imujoco_minari.publishing.recipes import Recipe
-from imujoco_minari.variants import Variant
+from imujoco_minari.variants import Variant, specification
 
 
 @pytest.fixture
 def policy(tmp_path: Path) -> Path:
     """A SAC actor of random weights."""
     rng = np.random.default_rng(0)
-    observations, actions = SIZES["hopper"]
+    observations, actions = specification("hopper").sizes
     layers = {
         "latent_pi.0": (256, observations),
         "latent_pi.2": (256, 256),

@@ -13,10 +13,10 @@ import numpy as np
 from imujoco_minari.envs.differences import Difference, differences
 from imujoco_minari.envs.registration import make
 from imujoco_minari.errors import VariantError
-from imujoco_minari.policies import SIZES, RandomPolicy, expert_record
+from imujoco_minari.policies import RandomPolicy, expert_record
 from imujoco_minari.policies.rollouts import evaluate
 from imujoco_minari.storage import file_format, minari_root
-from imujoco_minari.variants import BASE, EXPERT, NAMESPACE, Variant, parse_dataset_id
+from imujoco_minari.variants import BASE, EXPERT, NAMESPACE, Variant, parse_dataset_id, specification
 
 RANDOM = "random"
 # Enough to place a random policy, whose exact return nobody looks for; a record holds more.
@@ -106,9 +106,9 @@ def scores(variant: Variant, random: Score | None = None) -> tuple[Score, ...]:
 
 def measured_random(variant: Variant) -> Score:
     """Roll the random policy out and return what it scores."""
-    env = make(variant)
+    env, policy = make(variant), RandomPolicy(specification(variant.robot).action_size)
     try:
-        outcome = evaluate(env, RandomPolicy(SIZES[variant.robot][1]), episodes=RANDOM_EPISODES)
+        outcome = evaluate(env, policy, episodes=RANDOM_EPISODES)
     finally:
         env.close()
     return _of_record(RANDOM, "uniform actions", outcome.asdict(), "measured for this page")

@@ -14,7 +14,6 @@ from imujoco_minari.pictures.gallery.entries import RANDOM, Entry, Score
 from imujoco_minari.variants import BASE, CATEGORIES, EXPERT, ROBOTS, Variant, specification
 
 MINUS, DASH, SPACE = "\N{MINUS SIGN}", "\N{EN DASH}", "\N{NO-BREAK SPACE}"
-ROBOT_NAMES = {"hopper": "Hopper", "halfcheetah": "HalfCheetah", "walker2d": "Walker2d"}
 WHAT = {
     "mass": "mass",
     "joint": "range of motion",
@@ -34,7 +33,7 @@ def index_page(entries: Sequence[Entry]) -> str:
         bases=_plural(len(entries) - changed, "base robot"),
         experts=experts,
         version=escape(version("imujoco-minari")),
-        robots=_options((robot, ROBOT_NAMES[robot]) for robot in ROBOTS),
+        robots=_options((robot, specification(robot).title) for robot in ROBOTS),
         categories=_options((name, name) for name in (*CATEGORIES, BASE)),
         bodies=_options((name, name) for name in sorted({v.body for v in variants if v.body})),
         percents=_options(
@@ -77,7 +76,8 @@ def variant_page(entry: Entry, base: Entry | None, neighbours: tuple[Variant | N
 
 def summary(variant: Variant) -> str:
     """Return in one sentence what a variant is."""
-    robot = f"{ROBOT_NAMES[variant.robot]} ({specification(variant.robot).environment})"
+    page = specification(variant.robot)
+    robot = f"{page.title} ({page.environment})"
     if variant.category == BASE:
         return f"{robot}, unchanged: the robot that all its variants are compared with."
     names = " and ".join(variant.mjcf_names)
@@ -113,10 +113,9 @@ def snippets(entry: Entry) -> list[tuple[str, str, str]]:
 
 def _card(entry: Entry, number: int) -> str:
     variant, best = entry.variant, entry.best
+    title = specification(variant.robot).title
     words = (
-        " ".join(
-            (str(variant), ROBOT_NAMES[variant.robot], variant.category, *variant.mjcf_names, short(variant))
-        )
+        " ".join((str(variant), title, variant.category, *variant.mjcf_names, short(variant)))
         .lower()
         .replace(SPACE, " ")
     )

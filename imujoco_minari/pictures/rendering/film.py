@@ -45,7 +45,7 @@ def pace(motions: Sequence[Motion], per_second: float = FRAMES_PER_SECOND) -> Pa
 
 def cameras(motions: Sequence[Motion], studio: Studio) -> list[Camera]:
     """Return a camera a motion with a place for each of its positions, all at one distance."""
-    seen = [capsules(studio.model(motion.variant), motion.positions) for motion in motions]
+    seen = [capsules(studio.model(motion.variant, motion.mjcf), motion.positions) for motion in motions]
     return follow(seen, studio.aspect, motions[0].timestep)
 
 
@@ -100,7 +100,7 @@ def change(variant: Variant) -> str:
     if variant.category == BASE:
         return "the unchanged robot"
     what = {"joint": "range of"}.get(variant.category, f"{variant.category} of")
-    return f"{what} {', '.join(variant.mjcf_names)} {variant.percent:+d} %"
+    return f"{what} {', '.join(variant.mjcf_names) or variant.body} {variant.percent:+d} %"
 
 
 def caption_height(height: int) -> int:
@@ -117,7 +117,8 @@ def _panel(
     shown = moving + [last] * (len(steps) > len(moving))
     places = Camera(camera.lookat[shown], camera.distance)
     earned = np.concatenate([[0.0], np.cumsum(motion.rewards)])
-    shots = studio.shoot(motion.variant, [motion.positions[step] for step in shown], places)
+    positions = [motion.positions[step] for step in shown]
+    shots = studio.shoot(motion.variant, positions, places, motion.mjcf)
     for step, shot in zip(shown, shots, strict=True):
         picture = Image.fromarray(np.ascontiguousarray(shot))
         over = step == last and motion.terminated

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -86,7 +85,7 @@ def axes() -> tuple[Array, Array, Array]:
     return right, np.cross(right, forward), forward
 
 
-def capsules(model: Any, positions: Array) -> Capsules:
+def capsules(model: mujoco.MjModel, positions: Array) -> Capsules:
     """Return the robot's capsules along ``positions`` (frames, nq)."""
     data = mujoco.MjData(model)
     chosen = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE)

@@ -25,13 +25,14 @@ class Motion:
     """One episode as positions.
 
     Attributes:
-        variant: who moves.
+        variant: the robot that moves.
         positions: generalised positions, of shape (steps + 1, nq).
         rewards: of shape (steps,).
         timestep: seconds an environment step takes.
         terminated: whether the robot left its healthy range, rather than that time ran out.
         title: what made it move, in a few words.
         divergence: of a replay, the largest difference from a recorded observation; 0 when exact.
+        mjcf: the text of the model, for a variant of the original archive.
     """
 
     variant: Variant
@@ -41,6 +42,7 @@ class Motion:
     terminated: bool
     title: str
     divergence: float = 0.0
+    mjcf: str | None = None
 
     @property
     def duration(self) -> float:
@@ -95,6 +97,7 @@ class PositionRecorder(gym.Wrapper[Any, Any, Any, Any]):
             self.terminated,
             title,
             divergence,
+            self.unwrapped.mjcf,  # type: ignore[attr-defined]
         )
 
     def _position(self) -> Array:
@@ -119,9 +122,14 @@ def _steps(variant: Variant, seconds: float | None) -> int:
     return max(1, min(MAX_EPISODE_STEPS, round(seconds / timestep(variant))))
 
 
-def timestep(variant: Variant) -> float:
-    """Return the seconds of simulation that a step of ``variant``'s environment takes."""
-    env = make(variant)
+def timestep(variant: Variant, mjcf: str | None = None) -> float:
+    """Return the seconds of simulation that a step of ``variant``'s environment takes.
+
+    Args:
+        variant: a variant.
+        mjcf: the text of its model, for a variant of the original archive.
+    """
+    env = make(variant, mjcf)
     try:
         return float(env.unwrapped.dt)  # type: ignore[attr-defined]
     finally:

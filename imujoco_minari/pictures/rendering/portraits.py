@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from types import MappingProxyType
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
@@ -13,24 +12,7 @@ from imujoco_minari.envs.mjcf import canonical_mjcf, compile_mjcf
 from imujoco_minari.pictures.rendering.film import captioned, grid
 from imujoco_minari.pictures.rendering.framing import capsules, follow
 from imujoco_minari.pictures.rendering.studio import Studio
-from imujoco_minari.variants import Variant
-
-# Degrees of the joints that a stance bends; it spreads what the rest pose stacks.
-STANCES: Mapping[str, Mapping[str, float]] = MappingProxyType(
-    {
-        "hopper": {"rooty": -16.0, "thigh_joint": -14.0, "leg_joint": -34.0, "foot_joint": 32.0},
-        "halfcheetah": {"bthigh": -8.0, "bshin": 12.0, "fthigh": 6.0, "fshin": -10.0},
-        "walker2d": {
-            "rooty": -4.0,
-            "thigh_joint": -36.0,
-            "leg_joint": -46.0,
-            "foot_joint": 4.0,
-            "thigh_left_joint": -4.0,
-            "leg_left_joint": -16.0,
-            "foot_left_joint": 16.0,
-        },
-    }
-)
+from imujoco_minari.variants import Variant, specification
 
 
 def stance(variant: Variant) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
@@ -39,14 +21,14 @@ def stance(variant: Variant) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     A joint whose range the variant narrows is bent as far as it goes.
     """
     model = compile_mjcf(canonical_mjcf(variant))
-    data = mujoco.MjData(model)
-    for name, degrees in STANCES[variant.robot].items():
+    data, page = mujoco.MjData(model), specification(variant.robot)
+    for name, degrees in page.stance.items():
         joint, angle = model.joint(name), np.radians(degrees)
         data.qpos[joint.qposadr[0]] = np.clip(angle, *joint.range) if model.jnt_limited[joint.id] else angle
     position = np.array(data.qpos)
     seen = capsules(model, position[None])
     lowest = (seen.ends[0, :, 2] - seen.radii).min()
-    position[model.joint("rootz").qposadr[0]] -= lowest
+    position[model.joint(page.root_joints[1]).qposadr[0]] -= lowest
     return position
 
 

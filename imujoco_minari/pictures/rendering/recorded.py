@@ -1,12 +1,13 @@
 """The motion of a recorded episode: replayed from its seed and actions, or read off its observations.
 
 Most episodes are reset with their recorded seed and stepped by their recorded actions, as verification
-does. Data of others comes without seeds; its positions are in its observations, all but the distance
-run, which the recorded velocity adds up to.
+does. Imported episodes have no seeds. Their observations hold all positions but the distance run, which
+is the sum of the recorded velocities.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,8 +19,10 @@ from imujoco_minari.envs.registration import make
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError
 from imujoco_minari.pictures.rendering.motion import Motion, PositionRecorder, timestep
 from imujoco_minari.storage import file_format, minari_root
-from imujoco_minari.variants import Variant
-from imujoco_minari.variants.original import is_original
+from imujoco_minari.storage.metadata import read_metadata
+from imujoco_minari.variants import Variant, specification
+from imujoco_minari.variants.original import variant_of
+from imujoco_minari.verification.identity import dataset_models
 
 Array = NDArray[Any]
 
@@ -31,13 +34,14 @@ class Recorded:
     Attributes:
         dataset_id: the dataset.
         number: of the episode in it.
-        variant: who moved.
+        variant: the robot that moved.
         tier: whose policy moved it.
         seed: what reset the environment; None where it is not known.
         observations: of shape (steps + 1, n).
         actions: of shape (steps, m).
         rewards: of shape (steps,).
         terminated: whether the robot left its healthy range.
+        mjcf: the text of the model, for a variant of the original archive.
     """
 
     dataset_id: str
@@ -49,6 +53,7 @@ class Recorded:
     actions: Array
     rewards: Array
     terminated: bool
+    mjcf: str | None = None
 
     @property
     def title(self) -> str:
@@ -60,7 +65,7 @@ class Recorded:
         return self._observed() if self.seed is None else self._replayed()
 
     def _replayed(self) -> Motion:
-        recorder = PositionRecorder(make(self.variant))
+        recorder = PositionRecorder(make(self.variant, self.mjcf))
         try:
             observation, _ = recorder.reset(seed=self.seed)
             divergence = float(np.abs(observation - self.observations[0]).max())
@@ -74,13 +79,13 @@ class Recorded:
             recorder.close()
 
     def _observed(self) -> Motion:
-        step = timestep(self.variant)
-        # An observation is all positions but the first, then as many velocities and one more.
-        others = (self.observations.shape[1] - 1) // 2
+        step = timestep(self.variant, self.mjcf)
+        # All positions but the first come before the velocities.
+        others = specification(self.variant.robot).forward_velocity
         run = np.concatenate([[0.0], np.cumsum(self.observations[1:, others]) * step])
         positions = np.column_stack([run, self.observations[:, :others]]).astype(np.float64)
         title = f"{self.title}, as observed"
-        return Motion(self.variant, positions, self.rewards, step, self.terminated, title)
+        return Motion(self.variant, positions, self.rewards, step, self.terminated, title, mjcf=self.mjcf)
 
 
 def replay(dataset_id: str, episode: int = 0) -> Motion:
@@ -111,27 +116,26 @@ def read_recorded(dataset_id: str, episode: int = 0) -> Recorded:
                 raise DatasetNotFoundError(
                     f"{dataset_id} has no episode {episode}; valid: 0 to {len(file) - 1}"
                 )
-            return _read(file[f"episode_{episode}"], dataset_id, episode)
+            models = dataset_models(read_metadata(path.parent))
+            return _read(file[f"episode_{episode}"], dataset_id, episode, models)
     except (OSError, KeyError, IndexError) as error:
         if isinstance(error, DatasetNotFoundError):
             raise
         raise DatasetError(f"{dataset_id}: episode {episode} cannot be read: {error}") from None
 
 
-def _read(group: h5py.Group, dataset_id: str, number: int) -> Recorded:
-    if is_original(group.attrs):
-        raise DatasetError(
-            f"{dataset_id}: its variant is of the original's archive, whose models are not drawn"
-        )
+def _read(group: h5py.Group, dataset_id: str, number: int, models: Mapping[str, str]) -> Recorded:
+    variant = variant_of(group.attrs)
     replayable = bool(group.attrs.get(file_format.REPLAYABLE, True))
     return Recorded(
         dataset_id,
         number,
-        Variant.parse(str(group.attrs["variant"])),
+        variant,
         str(group.attrs.get("tier", "")),
         int(group.attrs["seed"]) if replayable else None,
         group["observations"][()],
         group["actions"][()],
         group["rewards"][()],
         bool(group["terminations"][-1]),
+        models.get(str(variant)),
     )

@@ -6,11 +6,10 @@ canonical model has them. Colours are Okabe and Ito's, which colour-blind people
 
 from __future__ import annotations
 
-from typing import Any
-
 import mujoco
 
-from imujoco_minari.envs.mjcf import canonical_mjcf
+from imujoco_minari.envs.mjcf import model_text
+from imujoco_minari.errors import RenderingError
 from imujoco_minari.pictures.rendering.framing import FIELD_OF_VIEW
 from imujoco_minari.variants import BASE, Variant
 
@@ -28,16 +27,24 @@ FAR: Colour = (0.46, 0.49, 0.54)
 TILE = 1.0
 
 
-def scene_model(variant: Variant, *, width: int, height: int, fine: bool = True) -> Any:
-    """Return the ``mujoco.MjModel`` that is drawn for ``variant``.
+def scene_model(
+    variant: Variant, mjcf: str | None = None, *, width: int, height: int, fine: bool = True
+) -> mujoco.MjModel:
+    """Return the model that is drawn for ``variant``.
 
     Args:
         variant: which variant.
+        mjcf: the text of its model, for a variant of the original archive.
         width: of the largest picture, in pixels.
         height: likewise.
         fine: smooth edges and sharp shadows, at twice the time.
+
+    Raises:
+        RenderingError: when the model has no geom ``floor``, as a variant of the archive may.
     """
-    spec = mujoco.MjSpec.from_string(canonical_mjcf(variant))
+    spec = mujoco.MjSpec.from_string(model_text(variant, mjcf))
+    if spec.geom("floor") is None:
+        raise RenderingError(f"{variant} cannot be drawn: its model has no geom 'floor'")
     _surroundings(spec, fine)
     spec.visual.global_.fovy = FIELD_OF_VIEW
     spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
@@ -49,12 +56,12 @@ def scene_model(variant: Variant, *, width: int, height: int, fine: bool = True)
         for name in variant.mjcf_names:
             _mark_joint(spec.joint(name), COLOURS["joint"])
     elif variant.category != BASE:
-        for name in variant.mjcf_names:
-            spec.geom(name).rgba = [*COLOURS[variant.category], 1.0]
+        for geom in filter(None, map(spec.geom, variant.mjcf_names)):
+            geom.rgba = [*COLOURS[variant.category], 1.0]
     return spec.compile()
 
 
-def _mark_joint(joint: Any, colour: Colour) -> None:
+def _mark_joint(joint: mujoco.MjsJoint, colour: Colour) -> None:
     """Draw a disc around a joint, and tint the limb that it moves."""
     body = joint.parent
     radius = body.geoms[0].size[0]
@@ -70,7 +77,7 @@ def _mark_joint(joint: Any, colour: Colour) -> None:
     )
 
 
-def _surroundings(spec: Any, fine: bool) -> None:
+def _surroundings(spec: mujoco.MjSpec, fine: bool) -> None:
     """Replace floor pattern, sky and light by ours, the same for all three robots."""
     for element in (*spec.textures, *spec.materials, *spec.lights):
         if element.name != "floor":

@@ -10,10 +10,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from imujoco_minari.envs.mjcf import model_text
 from imujoco_minari.pictures.rendering.framing import AZIMUTH, ELEVATION, Camera
 from imujoco_minari.pictures.rendering.gl import new_context
 from imujoco_minari.pictures.rendering.scene import scene_model
-from imujoco_minari.variants import Variant
+from imujoco_minari.variants import Variant, bases
 
 Image = NDArray[np.uint8]
 
@@ -34,11 +35,9 @@ class Studio:
 
     def __init__(self, width: int, height: int, *, fine: bool = True) -> None:
         self.width, self.height, self._fine = width, height, fine
-        self._models: dict[Variant, Any] = {}
+        self._models: dict[tuple[Variant, str], mujoco.MjModel] = {}
         self._gl = new_context(width, height)
-        self._context = mujoco.MjrContext(
-            self.model(Variant("hopper", "base", 0, "")), mujoco.mjtFontScale.mjFONTSCALE_100.value
-        )
+        self._context = mujoco.MjrContext(self.model(bases()[0]), mujoco.mjtFontScale.mjFONTSCALE_100.value)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
 
     def __enter__(self) -> Studio:
@@ -57,17 +56,20 @@ class Studio:
         """Width over height."""
         return self.width / self.height
 
-    def model(self, variant: Variant) -> Any:
-        """Return the model that is drawn for ``variant``."""
-        if variant not in self._models:
-            self._models[variant] = scene_model(
-                variant, width=self.width, height=self.height, fine=self._fine
+    def model(self, variant: Variant, mjcf: str | None = None) -> mujoco.MjModel:
+        """Return the model that is drawn for ``variant``; ``mjcf`` is its text where it is the archive's."""
+        text = model_text(variant, mjcf)
+        if (variant, text) not in self._models:
+            self._models[variant, text] = scene_model(
+                variant, text, width=self.width, height=self.height, fine=self._fine
             )
-        return self._models[variant]
+        return self._models[variant, text]
 
-    def shoot(self, variant: Variant, positions: Iterable[Any], camera: Camera) -> Iterator[Image]:
+    def shoot(
+        self, variant: Variant, positions: Iterable[Any], camera: Camera, mjcf: str | None = None
+    ) -> Iterator[Image]:
         """Yield a picture, of shape (height, width, 3), for each position and its place of the camera."""
-        model = self.model(variant)
+        model = self.model(variant, mjcf)
         data, option, view = mujoco.MjData(model), mujoco.MjvOption(), mujoco.MjvCamera()
         scene = mujoco.MjvScene(model, maxgeom=100)
         view.azimuth, view.elevation, view.distance = AZIMUTH, ELEVATION, camera.distance

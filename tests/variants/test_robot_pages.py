@@ -1,0 +1,120 @@
+"""The robots' pages: what they hold, what they must not hold, and that Gymnasium's robots agree with them."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import gymnasium as gym
+import pytest
+
+import imujoco_minari
+from imujoco_minari.errors import CatalogueError
+from imujoco_minari.training.hyperparameters import SCRATCH, hyperparameters
+from imujoco_minari.variants import CATEGORIES, ROBOTS, parse_specification, specification
+
+PACKAGE = Path(imujoco_minari.__file__).parent
+
+GOOD = """
+environment = "Hopper-v5"
+model = "hopper.xml"
+observation_size = 11
+action_size = 3
+steps_per_second = 125
+root_joints = ["rootx", "rootz", "rooty"]
+feet = ["foot_geom"]
+healthy_z_range = [0.7, inf]
+[reward]
+control_cost = 1e-3
+healthy = 1
+[stance]
+leg_joint = -34
+[training.warm]
+max_steps = 7
+""" + "".join(f'[{category}]\npercents = [-50]\nbodies = ["foot_geom"]\n' for category in CATEGORIES)
+
+
+def test_a_specification_reads_back_what_it_says() -> None:
+    parsed = parse_specification(GOOD, "good.toml")
+    assert parsed.environment == "Hopper-v5"
+    assert parsed.title == "Hopper"
+    assert parsed.sizes == (11, 3)
+    assert parsed.reward.healthy == 1.0
+    assert parsed.stance == {"leg_joint": -34.0}
+    assert parsed.training == {"warm": {"max_steps": 7}}
+    assert parsed.healthy_z_range == (0.7, float("inf"))
+    assert parsed.changes["mass"].bodies == {"footgeom": ("foot_geom",)}
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "words"),
+    [
+        ("environment", "enviroment", ["unknown key 'enviroment'", "did you mean 'environment'"]),
+        ("[mass]\npercents = [-50]", "[mass]\npercents = [-100]", ["[mass]", "above -100"]),
+        ("[mass]\npercents = [-50]", "[mass]\npercents = [0]", ["not 0"]),
+        ("[mass]\npercents = [-50]", "[mass]\npercent = [-50]", ["[mass] must hold percents and bodies"]),
+        ('feet = ["foot_geom"]', "feet = 3", ["feet must be a list"]),
+        ("[0.7, inf]", "[0.7]", ["healthy_z_range"]),
+        ("action_size = 3", "action_size = 3.0", ["action_size must be a whole number above 0"]),
+        ("steps_per_second = 125", "steps_per_second = 0", ["steps_per_second must be a whole number"]),
+        ("observation_size = 11\n", "", ["observation_size must be a whole number"]),
+        (', "rooty"]', "]", ["root_joints must name three joints"]),
+        ("healthy = 1\n", "", ["[reward] must hold control_cost and healthy"]),
+        ("leg_joint = -34", 'leg_joint = "bent"', ["[stance] must hold numbers"]),
+        ("[training.warm]\nmax_steps", "[training]\nmax_steps", ["[training] must hold one table"]),
+        ("environment =", "environment = =", ["not TOML"]),
+    ],
+)
+def test_a_wrong_specification_is_named(before: str, after: str, words: list[str]) -> None:
+    assert before in GOOD
+    with pytest.raises(CatalogueError) as caught:
+        parse_specification(GOOD.replace(before, after, 1), "bad.toml")
+    assert all(word in str(caught.value) for word in ["bad.toml", *words]), caught.value
+
+
+def test_the_robots_are_those_with_a_page_the_smallest_first() -> None:
+    pages = {path.stem for path in (PACKAGE.parent / "env_specs").glob("*.toml")}
+    assert set(ROBOTS) == pages
+    assert ROBOTS == ("hopper", "halfcheetah", "walker2d")
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_a_page_agrees_with_gymnasium(robot: str) -> None:
+    page = specification(robot)
+    env = gym.make(page.environment).unwrapped
+    assert env.observation_space.shape == (page.observation_size,)
+    assert env.action_space.shape == (page.action_size,)
+    assert env.dt == 1 / page.steps_per_second  # type: ignore[attr-defined]
+    assert env._ctrl_cost_weight == page.reward.control_cost  # type: ignore[attr-defined]
+    assert getattr(env, "_healthy_reward", 0.0) == page.reward.healthy
+    model = env.model  # type: ignore[attr-defined]
+    assert [model.joint(i).name for i in range(3)] == list(page.root_joints)
+    assert {model.joint(name).bodyid[0] for name in page.root_joints} == {1}
+    assert all(model.joint(name).id >= 0 for name in page.stance)
+    # One position of the root is not observed: what follows the others is the forward velocity.
+    assert page.forward_velocity == model.nq - 1
+    env.close()
+
+
+def test_a_robots_own_hyperparameters_take_precedence() -> None:
+    assert hyperparameters("hopper", SCRATCH).evaluate_every == 10_000
+    assert hyperparameters("halfcheetah", SCRATCH).evaluate_every == 20_000
+    assert hyperparameters("halfcheetah", SCRATCH).max_steps == 1_000_000
+
+
+def robot_tables(path: Path) -> list[int]:
+    """The lines of a module that begin a dict with robots as keys."""
+    return [
+        node.lineno
+        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(node, ast.Dict)
+        and sum(isinstance(key, ast.Constant) and key.value in ROBOTS for key in node.keys) > 1
+    ]
+
+
+def test_no_table_of_robots_stands_outside_the_pages(tmp_path: Path) -> None:
+    found = {path: robot_tables(path) for path in PACKAGE.rglob("*.py")}
+    assert {path: lines for path, lines in found.items() if lines} == {}
+    other = tmp_path / "other.py"
+    other.write_text('SIZES = {"hopper": (11, 3), "walker2d": (17, 6)}')
+    assert robot_tables(other) == [1]
