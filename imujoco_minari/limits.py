@@ -1,0 +1,102 @@
+"""Runs a function on untrusted input in a child process, with limits on its memory and its time.
+
+Some inputs take all memory or never end, whatever is checked beforehand. The limits of a process
+hold for the whole input. A smaller limit that is already set (``ulimit``) stays in force.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import math
+import os
+import resource
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from imujoco_minari.errors import JobError
+
+# Wall-clock time for the imports and the call together. It ends a child that waits for something;
+# processor time is the limit for a child that computes, so a busy machine does not matter.
+MAX_WALL_SECONDS = 300
+
+_PROGRAM = "import json, sys; call = json.loads(sys.argv[1]); sys.path[:] = call.pop('path'); \
+from imujoco_minari.limits import answer; answer(**call)"
+_ADDRESS_SPACE = Path("/proc/self/statm")
+
+
+def run_limited(function: str, argument: str, *, memory: int, seconds: int) -> bytes:
+    """Call a function in a child process and return its result.
+
+    The child imports the function's module before the limits are set. So they are limits on the call
+    alone, and need not allow for the size of the imported libraries.
+
+    Args:
+        function: ``module:name`` of a function from ``str`` to ``bytes``.
+        argument: its argument.
+        memory: address space that the call may add, in bytes. Not limited on systems without ``/proc``.
+        seconds: processor time that the call may take.
+
+    Raises:
+        JobError: when the child exceeds a limit, crashes, or raises an exception.
+    """
+    call = {
+        "path": sys.path,
+        "function": function,
+        "argument": argument,
+        "memory": memory,
+        "seconds": seconds,
+    }
+    try:
+        child = subprocess.run(
+            [sys.executable, "-c", _PROGRAM, json.dumps(call)],
+            # More threads would reserve more address space.
+            env=os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            timeout=MAX_WALL_SECONDS,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        raise JobError(f"takes more than {MAX_WALL_SECONDS} seconds") from None
+    if child.returncode == -signal.SIGXCPU:
+        raise JobError(f"takes more than {seconds} seconds of processor time")
+    if child.returncode < 0:
+        raise JobError(f"kills the process ({signal.Signals(-child.returncode).name})")
+    if child.returncode:
+        lines = child.stderr.decode("utf-8", "replace").strip().splitlines()
+        if lines[-1:] == ["MemoryError"]:
+            raise JobError(f"needs more than {memory} bytes of memory")
+        raise JobError(f"fails: {lines[-1][:200] if lines else 'no reason given'}")
+    return child.stdout
+
+
+def answer(function: str, argument: str, memory: int, seconds: int) -> None:
+    """Call the function under the limits and print its result: what the child process does."""
+    result = os.dup(sys.stdout.fileno())
+    # A library may print; that is no part of the result.
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    module, _, name = function.partition(":")
+    called: Callable[[str], bytes] = getattr(importlib.import_module(module), name)
+    _limit_this_process(memory, seconds)
+    with os.fdopen(result, "wb") as file:
+        file.write(called(argument))
+
+
+def _limit_this_process(memory: int, seconds: int) -> None:
+    _lower(resource.RLIMIT_CORE, 0)
+    if _ADDRESS_SPACE.exists():
+        pages = int(_ADDRESS_SPACE.read_text().split()[0])
+        _lower(resource.RLIMIT_AS, pages * resource.getpagesize() + memory)
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    _lower(resource.RLIMIT_CPU, math.ceil(used.ru_utime + used.ru_stime) + seconds)
+
+
+def _lower(kind: int, limit: int) -> None:
+    """Set a soft limit, but never raise it."""
+    soft, hard = resource.getrlimit(kind)
+    set_limits = (each for each in (soft, hard) if each != resource.RLIM_INFINITY)
+    resource.setrlimit(kind, (min([limit, *set_limits]), hard))
