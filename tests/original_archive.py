@@ -118,11 +118,24 @@ def write_sb3_zip(path: Path, robot: str, bomb: Path | None = None) -> None:
     """A zip as Stable-Baselines3 1.x saved it, with pickles in ``data`` that must never be loaded."""
     pickled = base64.b64encode(pickle.dumps(Bomb(bomb) if bomb else {"a": 1})).decode()
     data = {
-        "policy_class": {":type:": "<class 'abc.ABCMeta'>", ":serialized:": pickled, "__module__": "sac"},
+        "policy_class": {
+            ":type:": "<class 'abc.ABCMeta'>",
+            ":serialized:": pickled,
+            "__module__": "stable_baselines3.sac.policies",
+        },
         "verbose": 1,
         "policy_kwargs": {"use_sde": False},
-        "observation_space": {":type:": "<class 'gym.spaces.box.Box'>", ":serialized:": pickled},
-        "action_space": {":type:": "<class 'gym.spaces.box.Box'>", ":serialized:": pickled},
+        "observation_space": {
+            ":type:": "<class 'gym.spaces.box.Box'>",
+            ":serialized:": pickled,
+            "_shape": [specification(robot).observation_size],
+        },
+        "action_space": {
+            ":type:": "<class 'gym.spaces.box.Box'>",
+            ":serialized:": pickled,
+            "low": str(-np.ones(specification(robot).action_size, np.float32)),
+            "high": str(np.ones(specification(robot).action_size, np.float32)),
+        },
         "use_sde": False,
         "gamma": 0.99,
     }

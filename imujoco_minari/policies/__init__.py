@@ -11,10 +11,10 @@ from imujoco_minari.policies.experts import (
     expert_record,
     expert_variants,
     find_policy_file,
-    load_policy,
     policies_folder,
 )
 from imujoco_minari.policies.files import read_actor
+from imujoco_minari.policies.tiers import load_policy
 
 __all__ = [
     "LANES",

@@ -1,7 +1,7 @@
-"""What chooses actions: a random policy, and SAC's squashed Gaussian actor in NumPy.
+"""Policies choose actions: a random policy, and SAC's squashed Gaussian actor in NumPy.
 
-The actor takes a tenth of the time of ``SAC.predict``, and its deterministic action equals
-``SAC.predict``'s within float32 rounding.
+The actor takes a tenth of the time of ``SAC.predict``. Its deterministic action equals that of
+``SAC.predict`` within float32 rounding.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from imujoco_minari.errors import PolicyError
+from imujoco_minari.errors import PolicyError, clipped
 from imujoco_minari.variants import ROBOTS, specification
 
 Array = NDArray[Any]
@@ -23,18 +23,24 @@ Array = NDArray[Any]
 _LOG_STD_RANGE = (-20.0, 2.0)
 _ACTIVATIONS = ("ReLU", "Tanh", "ELU", "SiLU")
 
-# OpenBLAS shares a matrix-vector product among threads above 9216 elements, and the last bits of the
-# sum then depend on their number, that is on the machine and on how many processes share it.
+# OpenBLAS uses several threads for a matrix-vector product of more than 9216 elements. The last bits of
+# the sum then depend on the number of threads, so on the machine and on its load.
 _BLOCK = 8192
-# As an array: NumPy takes half a microsecond to convert the same number at each call.
+# An array, because NumPy takes half a microsecond to convert a Python number at each call.
 _ZERO = np.zeros((), np.float32)
 
-# How many observations an actor takes at once: at 16 the weights' way through the cache is shared by enough.
+# Number of observations that act_together() takes at once. At 16, loading the weights no longer dominates.
 LANES = 16
 
 
 class _Layer(NamedTuple):
-    """An affine layer: its weight (in, out), a large one's blocks (block, in, out / blocks), its bias."""
+    """An affine layer.
+
+    Attributes:
+        weight: of shape (in, out).
+        blocks: the weight of a large layer in blocks, of shape (blocks, in, out / blocks); else None.
+        bias: of shape (out,).
+    """
 
     weight: Array
     blocks: Array | None
@@ -42,15 +48,15 @@ class _Layer(NamedTuple):
 
 
 class Policy(Protocol):
-    """What chooses actions, and what a dataset records of it."""
+    """Chooses an action for each observation."""
 
     @property
     def algorithm(self) -> str:
-        """Name of the algorithm that made the policy, as in ``CrossQ`` or ``random``."""
+        """Name of the algorithm that made the policy, for example ``CrossQ`` or ``random``."""
 
     @property
     def sha256(self) -> str:
-        """Digest of all that decides its actions."""
+        """Digest of everything that decides the actions."""
 
     @property
     def deterministic(self) -> bool:
@@ -62,7 +68,13 @@ class Policy(Protocol):
 
 @dataclass(frozen=True)
 class RandomPolicy:
-    """Actions drawn uniformly from ``[-1, 1]``, the action space of all three robots."""
+    """Draws actions uniformly from ``[-1, 1]``, the action space of all three robots.
+
+    Attributes:
+        action_size: length of an action.
+        algorithm: ``random``.
+        deterministic: False.
+    """
 
     action_size: int
     algorithm: str = "random"
@@ -70,7 +82,7 @@ class RandomPolicy:
 
     @property
     def sha256(self) -> str:
-        """Digest of its name: a random policy has no weights."""
+        """Digest of the distribution's name: a random policy has no weights."""
         return hashlib.sha256(b"uniform [-1, 1]").hexdigest()
 
     def act(self, observation: Array, rng: np.random.Generator) -> Array:
@@ -78,17 +90,21 @@ class RandomPolicy:
         return rng.uniform(-1.0, 1.0, self.action_size).astype(np.float32)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Actor:
-    """SAC's squashed Gaussian actor: a multilayer perceptron, then mean and log deviation.
+    """SAC's squashed Gaussian actor: a multilayer perceptron with two heads, mean and log deviation.
 
     Attributes:
-        weights: Stable-Baselines3's names (``latent_pi.0.weight`` ... ``mu.weight``, ``log_std.bias``)
-            to float32 arrays, weights of shape (out, in).
-        algorithm: name of the algorithm that trained it.
-        deterministic: whether it acts by its mode or by a sample.
-        activation: the hidden layers' activation, a torch class name.
-        record: how it was trained and what it scores, for shipped weights.
+        weights: float32 arrays by Stable-Baselines3's names (``latent_pi.0.weight`` ... ``mu.weight``,
+            ``log_std.bias``). A weight has the shape (out, in), a bias (out,).
+        algorithm: name of the algorithm that trained the actor.
+        deterministic: whether the actor takes the mode of its distribution, or a sample.
+        activation: class name in ``torch.nn`` of the hidden layers' activation: ``ReLU``, ``Tanh``,
+            ``ELU`` or ``SiLU``.
+        record: the training record of an expert, with its evaluation; else empty.
+
+    Raises:
+        PolicyError: when the arrays are not the weights of such an actor.
     """
 
     weights: Mapping[str, Array]
@@ -104,14 +120,21 @@ class Actor:
                 f"activation {self.activation!r} is not supported; valid: {', '.join(_ACTIVATIONS)}"
             )
 
+    def __repr__(self) -> str:
+        widths = [self.observation_size, *(layer.bias.size for layer in self._hidden), self.action_size]
+        return (
+            f"Actor({self.algorithm}, layers {'-'.join(map(str, widths))}, {self.activation}, "
+            f"{'deterministic' if self.deterministic else 'stochastic'})"
+        )
+
     @property
     def observation_size(self) -> int:
-        """Length of the observation it takes."""
+        """Length of an observation."""
         return int(self.weights["latent_pi.0.weight"].shape[1])
 
     @property
     def action_size(self) -> int:
-        """Length of the action it gives."""
+        """Length of an action."""
         return int(self.weights["mu.bias"].shape[0])
 
     @cached_property
@@ -125,9 +148,13 @@ class Actor:
         return digest.hexdigest()
 
     def act(self, observation: Array, rng: np.random.Generator) -> Array:
-        """Return the action for an observation of shape ``(n,)`` or a batch ``(b, n)``.
+        """Return the action, float32 in ``[-1, 1]``, for an observation.
 
-        A row of a batch differs from the same observation alone by float32 rounding.
+        The result for a row of a batch differs from the result for that row alone by float32 rounding.
+
+        Args:
+            observation: of shape ``(n,)``, or a batch of shape ``(b, n)``.
+            rng: source of the sample; a deterministic actor does not use it.
         """
         latent = observation.astype(np.float32)
         for layer in self._hidden:
@@ -140,10 +167,15 @@ class Actor:
         return action
 
     def act_together(self, observations: Array, rngs: Sequence[np.random.Generator]) -> Array:
-        """Return the actions (b, action) for up to ``LANES`` observations (b, n), each with its own draws.
+        """Return the actions, of shape (b, action size), for several observations.
 
-        Each is to the bit the same whatever the others are, and however many; it differs from
-        :meth:`act`'s by float32 rounding. Costs 2.3 us an observation, where :meth:`act` costs 10.
+        An action does not depend on the other observations or on their number, to the last bit. It
+        differs from the result of :meth:`act` by float32 rounding. An observation takes 2.3 us here and
+        10 us in :meth:`act`.
+
+        Args:
+            observations: of shape (b, n), with b at most ``LANES``.
+            rngs: a source of samples for each observation; a deterministic actor does not use them.
         """
         latent = np.zeros((LANES, self.observation_size), np.float32)
         latent[: len(observations)] = observations
@@ -158,7 +190,11 @@ class Actor:
         return action
 
     def check(self, robot: str) -> None:
-        """Raise a :class:`PolicyError` unless the actor fits ``robot``."""
+        """Check that the actor has the observation and action size of a robot.
+
+        Raises:
+            PolicyError: when it has not.
+        """
         sizes = (self.observation_size, self.action_size)
         expected = specification(robot).sizes
         if sizes != expected:
@@ -203,7 +239,7 @@ class Actor:
 
 
 def _affine(x: Array, layer: _Layer) -> Array:
-    """Return the layer's output, for one observation to the bit the same whatever the number of threads."""
+    """Return the layer's output. For one observation it does not depend on the number of threads."""
     weight, blocks, bias = layer
     y: Array
     if x.ndim > 1:
@@ -217,7 +253,7 @@ def _affine(x: Array, layer: _Layer) -> Array:
 
 
 def _affine_together(x: Array, layer: _Layer) -> Array:
-    """Return the layer's output for ``LANES`` rows, always by the same products of the same sizes."""
+    """Return the layer's output for ``LANES`` rows, with products whose sizes are always the same."""
     weight, blocks, bias = layer
     y: Array = np.dot(x, weight) if blocks is None else np.matmul(x, blocks).transpose(1, 0, 2)
     y = y.reshape(LANES, -1)
@@ -238,7 +274,8 @@ def _check_shapes(weights: Mapping[str, Array]) -> None:
     if expected != set(weights):
         odd = sorted(expected ^ set(weights))[0]
         raise PolicyError(
-            f"the actor is not SAC's: {odd} is {'missing' if odd in expected else 'unexpected'}"
+            f"the actor is not SAC's: {clipped(ascii(odd))} is "
+            f"{'missing' if odd in expected else 'unexpected'}"
         )
     width = None
     for name in names:
@@ -251,9 +288,11 @@ def _check_shapes(weights: Mapping[str, Array]) -> None:
 def _check_layer(weights: Mapping[str, Array], name: str, width: int | None) -> int:
     weight, bias = weights[f"{name}.weight"], weights[f"{name}.bias"]
     if weight.ndim != 2 or bias.shape != (weight.shape[0],) or 0 in weight.shape:
-        raise PolicyError(f"{name}: weight {weight.shape} and bias {bias.shape} make no layer")
+        raise PolicyError(f"{name}: weight {weight.shape} and bias {bias.shape} are no layer")
     if width is not None and weight.shape[1] != width:
         raise PolicyError(f"{name}: takes {weight.shape[1]} inputs, but the layer before gives {width}")
+    if weight.shape[1] > _BLOCK:
+        raise PolicyError(f"{name}: takes {weight.shape[1]} inputs; the limit is {_BLOCK}")
     if not (np.isfinite(weight).all() and np.isfinite(bias).all()):
         raise PolicyError(f"{name}: weights are not finite")
     return int(weight.shape[0])

@@ -1,60 +1,65 @@
-"""Actors out of files: safetensors, and Stable-Baselines3 zips, read without running what they hold."""
+"""Reads actors from safetensors and from Stable-Baselines3 zips. Nothing in a file is run."""
 
 from __future__ import annotations
 
-import io
 import json
-import zipfile
-import zlib
 from collections.abc import Mapping
-from math import prod
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from imujoco_minari.errors import PolicyError, PolicyNotFoundError
+from imujoco_minari.errors import JobError, PolicyError, PolicyNotFoundError
+from imujoco_minari.limits import run_limited
 from imujoco_minari.policies.actors import Actor
-from imujoco_minari.policies.torch_file import TorchFile, read_entry
 
-# A default SAC zip holds 3 MB; anything near this is no policy of these robots.
-MAX_ZIP_ENTRY, MAX_POLICY_FILE = 64 * 2**20, 256 * 2**20
+# The zip of SAC's default policy has 3 MB, its actor 0.3 MB.
+MAX_ZIP_BYTES, MAX_SAFETENSORS_BYTES = 2**28, 2**26
+# Memory and processor time for reading a zip; one of the largest size needs less.
+MAX_MEMORY_BYTES, MAX_SECONDS = 2**30, 5
 
-# What zipfile and json raise of a broken file.
-_BROKEN = (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, RuntimeError)
+_ZIP_MAGIC = b"PK\3\4"
 
 
-def read_actor(path: Path, *, deterministic: bool = True, algorithm: str = "SAC") -> Actor:
+def read_actor(path: str | Path, *, deterministic: bool = True, algorithm: str = "SAC") -> Actor:
     """Read an actor from a Stable-Baselines3 ``.zip`` or a ``.safetensors`` file.
+
+    A zip is read by a child process with limits on memory and time, because a few hundred bytes can ask
+    torch for any amount of either. The child imports torch, which takes a second or two; this process
+    does not. A zip is refused unless the actor computes what Stable-Baselines3 does: an ``MlpPolicy`` of
+    SAC or TQC, with the default features extractor, without gSDE, for actions in ``[-1, 1]``. A zip
+    does not hold the statistics of ``VecNormalize``: a policy that was trained with them acts wrongly.
 
     Args:
         path: the file.
-        deterministic: whether the actor acts by its mode.
-        algorithm: what trained the actor of a ``.safetensors``, which does not say so itself.
+        deterministic: whether the actor takes the mode of its distribution, or a sample.
+        algorithm: name of the algorithm that trained the actor of a ``.safetensors``. A zip states it.
 
     Raises:
-        PolicyNotFoundError: when there is no such file.
-        PolicyError: when it is neither, or holds no squashed Gaussian actor.
+        PolicyNotFoundError: when the file does not exist.
+        PolicyError: when the file holds no actor that this package can represent.
+
+    Examples:
+        >>> actor = read_actor("model.zip")  # doctest: +SKIP
+        >>> actor.act(observation, np.random.default_rng(0))  # doctest: +SKIP
     """
+    if not isinstance(path, str | Path):
+        raise PolicyError(f"a policy file is named by a str or a Path, not by {type(path).__name__}")
+    path = Path(path)
     if not path.is_file():
         raise PolicyNotFoundError(f"no policy file at {path}")
-    if path.stat().st_size > MAX_POLICY_FILE:
-        raise PolicyError(f"{path} has {path.stat().st_size} bytes; the limit is {MAX_POLICY_FILE}")
-    if path.suffix == ".safetensors":
+    is_safetensors = path.suffix == ".safetensors"
+    limit = MAX_SAFETENSORS_BYTES if is_safetensors else MAX_ZIP_BYTES
+    if (size := path.stat().st_size) > limit:
+        raise PolicyError(f"{path} has {size} bytes; the limit is {limit}")
+    if is_safetensors:
         return actor_of_bytes(path.read_bytes(), str(path), algorithm, deterministic, {})
-    if not _is_zip(path):
-        raise PolicyError(
-            f"{path} is no policy; valid: a Stable-Baselines3 SAC .zip, or an actor's .safetensors"
-        )
+    with path.open("rb") as file:
+        if file.read(len(_ZIP_MAGIC)) != _ZIP_MAGIC:
+            raise PolicyError(
+                f"{path} is no policy; valid: a Stable-Baselines3 SAC .zip, or an actor's .safetensors"
+            )
     return _read_zip(path, deterministic)
-
-
-def _is_zip(path: Path) -> bool:
-    try:
-        return zipfile.is_zipfile(path)
-    except zipfile.BadZipFile:
-        # Raised of some that nearly are.
-        return False
 
 
 def actor_of_bytes(
@@ -65,68 +70,36 @@ def actor_of_bytes(
     Raises:
         PolicyError: when they hold none.
     """
+    try:
+        return Actor(_weights(data), algorithm, deterministic, record=record)
+    except PolicyError as error:
+        raise PolicyError(f"{name}: holds no actor: {error}") from None
+
+
+def _weights(data: bytes) -> dict[str, Any]:
     from safetensors import SafetensorError
     from safetensors.numpy import load
 
     try:
-        weights = {key: array.astype(np.float32) for key, array in load(data).items()}
-        return Actor(weights, algorithm, deterministic, record=record)
-    except (SafetensorError, PolicyError, KeyError, TypeError, ValueError) as error:
-        raise PolicyError(f"{name}: holds no actor: {error}") from None
+        return {key: array.astype(np.float32) for key, array in load(data).items()}
+    except (SafetensorError, KeyError, TypeError, ValueError) as error:
+        raise PolicyError(str(error)) from None
 
 
 def _read_zip(path: Path, deterministic: bool) -> Actor:
-    """Read the actor out of a Stable-Baselines3 zip, of version 1 or 2.
-
-    Of ``data``, whose values are pickles, only the plain JSON text beside them is looked at.
-    """
     try:
-        with zipfile.ZipFile(path) as archive:
-            state = TorchFile(io.BytesIO(read_entry(archive, "policy.pth", MAX_ZIP_ENTRY)))
-            settings = json.loads(read_entry(archive, "data", MAX_ZIP_ENTRY))
-        if not isinstance(settings, dict):
-            raise PolicyError("its data is no JSON object")
-        if settings.get("use_sde"):
-            raise PolicyError(
-                "the policy explores by gSDE, whose actor is not SAC's default; train without use_sde"
-            )
-        if "actor.mu.weight" not in state.tensors:
-            raise PolicyError("holds no squashed Gaussian actor; valid: a zip of SAC or TQC with MlpPolicy")
-        weights = {
-            key.removeprefix("actor."): state.read(key).astype(np.float32)
-            for key in state.tensors
-            if key.startswith("actor.")
-        }
-        return Actor(
-            weights,
-            algorithm=_algorithm(state),
-            deterministic=deterministic,
-            activation=_activation(settings),
+        answer = run_limited(
+            "imujoco_minari.policies.sb3_reader:read_zip",
+            str(path.absolute()),
+            memory=MAX_MEMORY_BYTES,
+            seconds=MAX_SECONDS,
         )
-    except (PolicyError, *_BROKEN) as error:
-        raise PolicyError(
-            f"{path}: not a readable Stable-Baselines3 zip of a policy: {_first_line(error)}"
-        ) from None
-
-
-def _activation(settings: dict[str, Any]) -> str:
-    """Return the activation's class name from the JSON text of ``policy_kwargs``; SAC's default is ReLU."""
-    arguments = settings.get("policy_kwargs")
-    named = arguments.get("activation_fn") if isinstance(arguments, dict) else None
-    if named is None:
-        return "ReLU"
-    return str(named).rstrip("'>").rpartition(".")[2][:40]
-
-
-def _algorithm(state: TorchFile) -> str:
-    """Name the algorithm by its critic: TQC's gives many quantiles where SAC's gives one value."""
-    biases = [
-        tensor.shape
-        for key, tensor in state.tensors.items()
-        if key.startswith("critic.qf0.") and key.endswith(".bias")
-    ]
-    return "TQC" if biases and prod(biases[-1]) > 1 else "SAC"
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).strip() or type(error).__name__).splitlines()[0][:200]
+        line, _, weights = answer.partition(b"\n")
+        stated = json.loads(line)
+        if "refused" in stated:
+            raise PolicyError(stated["refused"])
+        return Actor(_weights(weights), stated["algorithm"], deterministic, activation=stated["activation"])
+    except JobError as error:
+        raise PolicyError(f"{path}: cannot be read as a policy: reading it {error}") from None
+    except PolicyError as error:
+        raise PolicyError(f"{path}: cannot be read as a policy: {error}") from None

@@ -1,4 +1,7 @@
-"""How the experts stand beside their bases: each one's share of its base's return, and a line for many."""
+"""Compares the experts with the experts of their base robots: one line for each robot and category.
+
+The share of an expert is its mean return divided by the mean return of its base's expert.
+"""
 
 from __future__ import annotations
 
@@ -12,9 +15,9 @@ import numpy as np
 from imujoco_minari.policies.experts import expert_record
 from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS, Variant, bases, catalogue
 
-# The share of its base's return that an expert is to reach.
+# The share that an expert should reach.
 BAR = 0.95
-# Of a table of standings; the first two are words.
+# Headings of a table of standings.
 COLUMNS = ("robot", "category", "policies", "of", "median", "min", f"below {BAR}", "core-hours")
 
 
@@ -24,13 +27,13 @@ class Standing:
 
     Attributes:
         robot: the robot.
-        category: the category, ``base`` among them.
-        policies: how many there are.
-        of: how many the catalogue has variants.
-        median: of return / base expert's return; None without policies.
-        minimum: of the same.
-        below: how many are below ``BAR``.
-        hours: core-hours that they were trained, evaluations included.
+        category: the category, or ``base``.
+        policies: number of experts that exist.
+        of: number of variants in the catalogue.
+        median: median of the shares; None without experts.
+        minimum: smallest share; None without experts.
+        below: number of experts whose share is below :data:`BAR`.
+        hours: core-hours of training, evaluations included.
     """
 
     robot: str
@@ -43,7 +46,7 @@ class Standing:
     hours: float
 
     def cells(self) -> list[str]:
-        """Return what stands under ``COLUMNS``."""
+        """Return the cells of the table's row, in the order of :data:`COLUMNS`."""
         shares = ("-" if share is None else f"{share:.2f}" for share in (self.median, self.minimum))
         counts = str(self.policies), str(self.of)
         return [self.robot, self.category, *counts, *shares, str(self.below), f"{self.hours:.1f}"]
@@ -54,12 +57,15 @@ def standings(
     categories: Sequence[str] = (BASE, *CATEGORIES),
     folder: Path | None = None,
 ) -> list[Standing]:
-    """Return a line for each robot and category.
+    """Return the standing of each robot and category.
 
     Args:
-        robots: of these.
-        categories: of these.
-        folder: see :func:`~imujoco_minari.policies.expert_record`.
+        robots: the robots.
+        categories: the categories; ``base`` is one of them.
+        folder: folder to search for records; see :func:`~imujoco_minari.policies.expert_record`.
+
+    Raises:
+        PolicyError: when a record cannot be read.
     """
     lines = []
     for robot in robots:
@@ -85,12 +91,12 @@ def standings(
 
 
 def share_of_base(record: Mapping[str, Any], folder: Path | None = None) -> float | None:
-    """Return a record's return as a share of its base expert's; None where there is no such."""
+    """Return the share of the expert with this training record; None when its base has no expert."""
     base = expert_record(Variant.parse(record["variant"]).base, folder)
     return float(record["evaluation"]["return_mean"] / base["evaluation"]["return_mean"]) if base else None
 
 
 def seconds_trained(record: Mapping[str, Any]) -> float:
-    """Return how long a record's policy was trained, and what it was improved from before."""
+    """Return the seconds that a policy was trained, together with the policies that it was improved from."""
     before = record.get("before")
     return float(record["wall_seconds"]) + (seconds_trained(before) if before else 0.0)

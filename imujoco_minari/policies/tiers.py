@@ -1,8 +1,9 @@
-"""Tiers: which policies make a dataset, and how many of its episodes each.
+"""Tiers: the policies that make a dataset, and the number of episodes that each of them makes.
 
-Beside the expert and the random policy there is the ladder: actors saved on the way of the base robot's
-training, each evaluated on the variant. ``medium`` is one rung, ``medium-expert`` half that and half
-expert, ``ranked`` equal sets of several rungs with their rank and return as episode attributes.
+The ladder of a variant is a list of actors (rungs) that were saved while the expert of the base robot was
+trained; each is evaluated on the variant. ``medium`` is one rung. ``medium-expert`` is that rung and the
+expert, in equal parts. ``ranked`` is the expert and several rungs, in equal parts; each episode states its
+policy's rank and return.
 """
 
 from __future__ import annotations
@@ -13,25 +14,30 @@ from pathlib import Path
 from typing import Any
 
 from imujoco_minari.errors import DatasetError, PolicyNotFoundError, suggestion
-from imujoco_minari.policies import Actor, Policy, expert_record, find_policy_file, load_policy, read_actor
-from imujoco_minari.variants import EXPERT, Variant
+from imujoco_minari.policies.actors import Actor, Policy, RandomPolicy
+from imujoco_minari.policies.experts import expert_actor, expert_record, find_policy_file
+from imujoco_minari.policies.files import read_actor
+from imujoco_minari.variants import EXPERT, Variant, specification
 
 RANDOM, MEDIUM, MEDIUM_EXPERT, RANKED, REPLAY = "random", "medium", "medium-expert", "ranked", "replay"
 TIERS = (EXPERT, MEDIUM, RANDOM, MEDIUM_EXPERT, RANKED, REPLAY)
-# Medium is the rung nearest to this share of the expert's return: between a third and a half.
+# Medium is the rung whose return is nearest to this share of the expert's: between a third and a half.
 MEDIUM_SHARE = 0.42
-# Ranked data comes from this many policies, the expert among them.
+# Number of policies that make ranked data, the expert included.
 RANKS = 5
+
+# A policy, and the attributes of its episodes.
+_Maker = tuple[Policy, dict[str, Any]]
 
 
 @dataclass(frozen=True)
 class Part:
-    """Some episodes of a dataset, that one policy makes.
+    """The episodes of a dataset that one policy makes.
 
     Attributes:
-        policy: what acts.
-        episodes: how many episodes.
-        attributes: what these episodes carry beside the dataset's attributes.
+        policy: the policy.
+        episodes: number of episodes.
+        attributes: episode attributes in addition to those of the dataset.
     """
 
     policy: Policy
@@ -39,53 +45,72 @@ class Part:
     attributes: Mapping[str, Any] = field(default_factory=dict)
 
 
-def parts(variant: Variant, tier: str, episodes: int, *, path: Path | None, stochastic: bool) -> list[Part]:
-    """Return the parts of a dataset of ``tier``, in the order of its episodes.
+def load_policy(
+    variant: Variant | str, *, tier: str = EXPERT, path: str | Path | None = None, stochastic: bool = False
+) -> Policy:
+    """Return the policy that makes a variant's data of a tier.
 
     Args:
-        variant: whose data.
+        variant: a variant or its id.
+        tier: ``expert``, ``medium`` or ``random``; ignored when ``path`` is given. Several policies make
+            ``medium-expert`` and ``ranked``: :func:`parts` returns them.
+        path: a Stable-Baselines3 ``.zip`` or an actor's ``.safetensors`` to use instead.
+        stochastic: sample actions instead of taking their mode.
+
+    Raises:
+        VariantError: when ``variant`` names no variant.
+        PolicyNotFoundError: when no single policy makes the tier, or ``path`` does not exist.
+        PolicyError: when the file holds no actor, or the actor does not fit the robot.
+
+    Examples:
+        >>> load_policy("hopper-base")
+        Actor(CrossQ, layers 11-256-256-3, ReLU, deterministic)
+    """
+    if not isinstance(variant, Variant):
+        variant = Variant.parse(variant)
+    makers = _makers(variant, tier, path, stochastic)
+    if len(makers) > 1:
+        raise PolicyNotFoundError(
+            f"{len(makers)} policies make the tier {tier!r}: imujoco_minari.policies.tiers.parts() returns "
+            f"them; valid here: {', '.join(_ONE_POLICY)}, or a path"
+        )
+    return makers[0][0]
+
+
+def parts(variant: Variant, tier: str, episodes: int, *, path: Path | None, stochastic: bool) -> list[Part]:
+    """Return the parts of a dataset of a tier, in the order of its episodes.
+
+    Args:
+        variant: the variant of the dataset.
         tier: one of :data:`TIERS`, or any name when ``path`` is given.
-        episodes: of the whole dataset.
-        path: a policy file that makes all of it.
+        episodes: number of episodes of the whole dataset.
+        path: file of a policy that makes all of the dataset.
         stochastic: sample the actors' actions instead of taking their mode.
 
     Raises:
-        PolicyNotFoundError: when no policy makes the tier, or the variant has none.
-        DatasetError: when the episodes cannot be divided among the parts.
+        PolicyNotFoundError: when no policy makes the tier, or a policy of the variant is missing.
+        PolicyError: when a file holds no actor, or the actor does not fit the robot.
+        DatasetError: when the episodes cannot be divided equally among the policies.
     """
-    if path is not None or tier in (EXPERT, RANDOM):
-        return [Part(load_policy(variant, tier=tier, path=path, stochastic=stochastic), episodes)]
-    if tier == REPLAY:
-        raise PolicyNotFoundError(
-            f"the tier {REPLAY} is recorded while a policy is trained: "
-            f"`imujoco train {variant} --record-replay`"
+    makers = _makers(variant, tier, path, stochastic)
+    if episodes % len(makers):
+        raise DatasetError(
+            f"{len(makers)} policies make equal parts of the tier {tier}: {episodes} episodes cannot be "
+            f"divided by {len(makers)}"
         )
-    if tier not in TIERS:
-        raise PolicyNotFoundError(
-            f"no policy makes the tier {tier!r}{suggestion(tier, TIERS)}; "
-            f"valid: {', '.join(TIERS)}, or any name with --policy FILE"
-        )
-    makers: dict[str, Callable[[Variant, bool], list[tuple[Policy, dict[str, Any]]]]] = {
-        MEDIUM: _medium,
-        MEDIUM_EXPERT: _medium_expert,
-        RANKED: _ranked,
-    }
-    made = makers[tier](variant, not stochastic)
-    if episodes % len(made):
-        raise DatasetError(f"the tier {tier} is of {len(made)} equal parts, and {episodes} episodes are not")
-    return [Part(policy, episodes // len(made), attributes) for policy, attributes in made]
+    return [Part(policy, episodes // len(makers), attributes) for policy, attributes in makers]
 
 
 def ladder(variant: Variant) -> Sequence[Mapping[str, Any]]:
-    """Return the rungs of the variant's record, lowest return on it first.
+    """Return the rungs in the variant's training record, the lowest return first.
 
     Raises:
-        PolicyNotFoundError: when the variant has no record, or its record no ladder.
+        PolicyNotFoundError: when the variant has no record, or its record has no ladder.
     """
     rungs = expert_record(variant).get("ladder")
     if not rungs:
         raise PolicyNotFoundError(
-            f"there is no ladder of policies for {variant}: `imujoco train {variant}` measures one"
+            f"no ladder of policies exists for {variant}: `imujoco train {variant}` measures one"
         )
     return sorted(rungs, key=_return)
 
@@ -96,49 +121,87 @@ def medium_rung(rungs: Sequence[Mapping[str, Any]], expert_return: float) -> Map
 
 
 def rung_file(variant: Variant, steps: int) -> str:
-    """Return the name of the file that holds the rung of a base's ladder, saved after ``steps``."""
+    """Return the file name of the rung that was saved after ``steps`` steps of training the base's expert."""
     return f"{variant.base}.rung-{steps}.safetensors"
 
 
-def _medium(variant: Variant, deterministic: bool) -> list[tuple[Policy, dict[str, Any]]]:
-    record = expert_record(variant)
-    rung = medium_rung(ladder(variant), record["evaluation"]["return_mean"])
+def _makers(variant: Variant, tier: str, path: str | Path | None, stochastic: bool) -> list[_Maker]:
+    """Return the policies that make a dataset; each makes the same number of episodes."""
+    if path is not None:
+        actor = read_actor(path, deterministic=not stochastic)
+        actor.check(variant.robot)
+        return [(actor, {})]
+    if tier == REPLAY:
+        raise PolicyNotFoundError(
+            f"no single policy makes the tier {REPLAY}: it is recorded while a policy is trained, "
+            f"with `imujoco train {variant} --record-replay`"
+        )
+    if not isinstance(tier, str) or tier not in _MAKERS:
+        near = suggestion(tier, TIERS) if isinstance(tier, str) else ""
+        raise PolicyNotFoundError(
+            f"no policy makes the tier {tier!r}{near}; "
+            f"valid: {', '.join(TIERS)}, or any name with --policy FILE"
+        )
+    return _MAKERS[tier](variant, not stochastic)
+
+
+def _expert(variant: Variant, deterministic: bool) -> list[_Maker]:
+    return [(expert_actor(variant, deterministic=deterministic), {})]
+
+
+def _medium(variant: Variant, deterministic: bool) -> list[_Maker]:
+    rungs = ladder(variant)
+    rung = medium_rung(rungs, expert_record(variant)["evaluation"]["return_mean"])
     return [(_rung(variant, rung, deterministic), {"rung": int(rung["steps"])})]
 
 
-def _medium_expert(variant: Variant, deterministic: bool) -> list[tuple[Policy, dict[str, Any]]]:
-    expert = load_policy(variant, stochastic=not deterministic)
-    (medium, attributes), *_ = _medium(variant, deterministic)
+def _random(variant: Variant, deterministic: bool) -> list[_Maker]:
+    return [(RandomPolicy(specification(variant.robot).action_size), {})]
+
+
+def _medium_expert(variant: Variant, deterministic: bool) -> list[_Maker]:
+    ((medium, attributes),) = _medium(variant, deterministic)
+    expert = expert_actor(variant, deterministic=deterministic)
     return [(medium, attributes | {"part": MEDIUM}), (expert, {"part": EXPERT})]
 
 
-def _ranked(variant: Variant, deterministic: bool) -> list[tuple[Policy, dict[str, Any]]]:
-    """Return the expert and the rungs whose returns are spread most evenly below it, best first."""
-    expert_return = expert_record(variant)["evaluation"]["return_mean"] if expert_record(variant) else 0.0
-    rungs = [rung for rung in ladder(variant) if _return(rung) < expert_return]
-    if len(rungs) < RANKS - 1:
+def _ranked(variant: Variant, deterministic: bool) -> list[_Maker]:
+    """Return the expert and the rungs whose returns are spread most evenly below it, the best first."""
+    rungs = ladder(variant)
+    expert_return = expert_record(variant)["evaluation"]["return_mean"]
+    below = [rung for rung in rungs if _return(rung) < expert_return]
+    if len(below) < RANKS - 1:
         raise PolicyNotFoundError(
-            f"{variant} has {len(rungs)} rungs below its expert; ranked data needs {RANKS - 1}"
+            f"{variant} has {len(below)} rungs below its expert; the tier {RANKED} needs {RANKS - 1}"
         )
     chosen: list[Mapping[str, Any]] = []
     for rank in range(1, RANKS):
         wanted = expert_return * (1 - rank / RANKS)
-        chosen.append(min((r for r in rungs if r not in chosen), key=lambda r: abs(_return(r) - wanted)))
+        chosen.append(min((r for r in below if r not in chosen), key=lambda r: abs(_return(r) - wanted)))
     chosen.sort(key=_return, reverse=True)
-    ranked: list[tuple[Policy, dict[str, Any]]] = [
-        (load_policy(variant, stochastic=not deterministic), {"rank": 0, "policy_return": expert_return})
-    ]
+    expert = expert_actor(variant, deterministic=deterministic)
+    ranked: list[_Maker] = [(expert, {"rank": 0, "policy_return": expert_return})]
     for rank, rung in enumerate(chosen, start=1):
         attributes = {"rank": rank, "policy_return": _return(rung), "rung": int(rung["steps"])}
         ranked.append((_rung(variant, rung, deterministic), attributes))
     return ranked
 
 
+_MAKERS: dict[str, Callable[[Variant, bool], list[_Maker]]] = {
+    EXPERT: _expert,
+    MEDIUM: _medium,
+    RANDOM: _random,
+    MEDIUM_EXPERT: _medium_expert,
+    RANKED: _ranked,
+}
+_ONE_POLICY = (EXPERT, MEDIUM, RANDOM)
+
+
 def _rung(variant: Variant, rung: Mapping[str, Any], deterministic: bool) -> Actor:
     name = rung_file(variant, rung["steps"])
     path = find_policy_file(name)
     if path is None:
-        raise PolicyNotFoundError(f"the record of {variant} names {name}, which is not there")
+        raise PolicyNotFoundError(f"the training record of {variant} names {name}, which is missing")
     algorithm = expert_record(variant)["algorithm"]
     return read_actor(path, deterministic=deterministic, algorithm=algorithm)
 

@@ -8,25 +8,33 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import resource
 import sys
 import tempfile
 import zipfile
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import atheris
+import torch
+from safetensors.numpy import save as safetensors_bytes
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
 with atheris.instrument_imports(include=["imujoco_minari"]):
     from imujoco_minari.envs.external_mjcf import check_text
-    from imujoco_minari.errors import ImujocoError
+    from imujoco_minari.errors import ImujocoError, JobError
     from imujoco_minari.importing.safe_unpack import open_zip, read_npz
-    from imujoco_minari.policies import read_actor
-    from imujoco_minari.policies.torch_file import TorchFile
+    from imujoco_minari.policies import files, read_actor, sb3_reader
     from imujoco_minari.storage import minari_root
     from imujoco_minari.storage.metadata import read_metadata
     from imujoco_minari.variants import Variant, parse_dataset_id, parse_specification
     from imujoco_minari.variants.original import OriginalVariant
     from imujoco_minari.verification.identity import loadable
+
+from policy_zips import saved, write_zip
+from random_actors import random_actor
 
 FOLDER = Path(tempfile.mkdtemp())
 
@@ -54,14 +62,33 @@ def catalogue(data: bytes) -> None:
     parse_specification(data.decode("utf-8", "replace"), "fuzz.toml")
 
 
+def in_process(function: str, argument: str, **limits: int) -> bytes:
+    """Read a zip in this process, whose memory main() limits, instead of in a child process."""
+    try:
+        return sb3_reader.read_zip(argument)
+    except MemoryError:
+        raise JobError("needs too much memory") from None
+
+
+files.run_limited = in_process
+
+
 def torch_pickle(data: bytes) -> None:
-    file = io.BytesIO()
-    with zipfile.ZipFile(file, "w") as archive:
-        archive.writestr("a/data.pkl", data)
-        archive.writestr("a/data/0", bytes(64))
-    opened = TorchFile(file)
-    for name in opened.tensors:
-        opened.read(name)
+    """Read a good policy whose pickle is replaced."""
+    pth, entries = io.BytesIO(), good_policy()
+    with zipfile.ZipFile(pth, "w") as archive:
+        for name, content in entries.items():
+            archive.writestr(name, data if name.endswith("data.pkl") else content)
+    read_actor(write_zip(FOLDER / "fuzz.zip", pth.getvalue()))
+
+
+@cache
+def good_policy() -> dict[str, bytes]:
+    """Return the entries of the ``policy.pth`` of a small actor."""
+    weights = random_actor(widths=(2,)).weights.items()
+    pth = saved({f"actor.{name}": torch.from_numpy(array) for name, array in weights})
+    with zipfile.ZipFile(io.BytesIO(pth)) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
 
 
 def policy(data: bytes) -> None:
@@ -142,25 +169,14 @@ def seeds(name: str) -> list[bytes]:
         np.savez_compressed(packed, data=np.zeros((2, 3), np.float32))
         np.save(single, np.zeros((2, 3)))
         return [single.getvalue()] if name == "npy" else [plain.getvalue(), packed.getvalue()]
-    if name in ("torch_pickle", "policy", "safetensors"):
-        import torch
-        from safetensors.torch import save
-
-        shapes = {"latent_pi.0": (2, 11), "mu": (3, 2), "log_std": (3, 2)}
-        state = {f"{layer}.weight": torch.zeros(shape) for layer, shape in shapes.items()}
-        state |= {f"{layer}.bias": torch.zeros(shape[0]) for layer, shape in shapes.items()}
-        if name == "safetensors":
-            return [save(state)]
-        pth, outer = io.BytesIO(), io.BytesIO()
-        torch.save({f"actor.{key}": value for key, value in state.items()}, pth)
-        if name == "torch_pickle":
-            with zipfile.ZipFile(pth) as inner:
-                entry = next(entry for entry in inner.namelist() if entry.endswith("data.pkl"))
-                return [inner.read(entry)]
-        with zipfile.ZipFile(outer, "w") as zipped:
-            zipped.writestr("data", "{}")
-            zipped.writestr("policy.pth", pth.getvalue())
-        return [outer.getvalue()]
+    if name == "torch_pickle":
+        return [content for entry, content in good_policy().items() if entry.endswith("data.pkl")]
+    if name == "policy":
+        weights = random_actor(widths=(2,)).weights.items()
+        state = {f"actor.{key}": torch.from_numpy(array) for key, array in weights}
+        return [write_zip(FOLDER / "seed.zip", saved(state)).read_bytes()]
+    if name == "safetensors":
+        return [safetensors_bytes(dict(random_actor(widths=(2,)).weights))]
     return given
 
 
@@ -176,6 +192,10 @@ def main() -> None:
         with contextlib.suppress(ImujocoError):
             target(data)
 
+    # An input that asks for more memory gets a MemoryError, as in the child process of read_actor().
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    limit = pages * resource.getpagesize() + files.MAX_MEMORY_BYTES
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     options = ["-timeout=20", "-rss_limit_mb=3000", "-max_len=20000", "-print_final_stats=1"]
     atheris.Setup([sys.argv[0], str(corpus), *options, *sys.argv[1:]], one)
     atheris.Fuzz()

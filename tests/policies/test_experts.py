@@ -10,7 +10,15 @@ from typing import Any
 import pytest
 
 from imujoco_minari.envs.registration import make
-from imujoco_minari.policies import Actor, expert_actor, expert_record, expert_variants, read_actor
+from imujoco_minari.errors import PolicyError
+from imujoco_minari.policies import (
+    Actor,
+    expert_actor,
+    expert_record,
+    expert_variants,
+    policies_folder,
+    read_actor,
+)
 from imujoco_minari.policies.rollouts import episode_seed, roll_out
 from imujoco_minari.policies.tiers import parts, rung_file
 from imujoco_minari.training.run import CONFIRMING_SEED
@@ -55,6 +63,14 @@ def test_an_expert_scores_what_its_record_says(variant: Variant) -> None:
     # Seeds that nobody has looked at.
     strange = [roll_out(env, expert_actor(variant), seed)[0] for seed in (123_456_789, 987_654_321)]
     assert max(strange) >= evaluation["return_mean"] - 3 * evaluation["return_std"] - slack
+
+
+@pytest.mark.parametrize("text", ["[]", "5", "{", '"record"'])
+def test_a_damaged_record_is_named(home: Path, text: str) -> None:
+    policies_folder().mkdir(parents=True)
+    (policies_folder() / "hopper-base.json").write_text(text)
+    with pytest.raises(PolicyError, match=r"hopper-base\.json: not a training record"):
+        expert_actor(Variant.parse("hopper-base"))
 
 
 @pytest.mark.parametrize("tier", ["expert", "medium", "medium-expert", "ranked", "random"])

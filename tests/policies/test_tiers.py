@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import minari
 import numpy as np
@@ -11,8 +12,8 @@ import pytest
 from random_actors import random_actor
 from safetensors.numpy import save_file
 
-from imujoco_minari.errors import DatasetError, PolicyNotFoundError
-from imujoco_minari.policies import Actor, policies_folder
+from imujoco_minari.errors import DatasetError, PolicyNotFoundError, VariantError
+from imujoco_minari.policies import Actor, load_policy, policies_folder
 from imujoco_minari.policies.tiers import parts
 from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.variants import Variant
@@ -65,7 +66,7 @@ def test_medium_expert_is_half_and_half() -> None:
         (rung(200), 5, {"rung": 200, "part": "medium"}),
         (scaled(1.0).sha256, 5, {"part": "expert"}),
     ]
-    with pytest.raises(DatasetError, match="2 equal parts, and 7 episodes are not"):
+    with pytest.raises(DatasetError, match="7 episodes cannot be divided by 2"):
         made("medium-expert", 7)
 
 
@@ -79,6 +80,35 @@ def test_ranked_is_of_five_policies_best_first_none_above_the_expert() -> None:
     assert returns == sorted(returns, reverse=True)
     assert returns[0] == 1000.0
     assert 1200.0 not in returns
+
+
+@pytest.mark.parametrize(("tier", "sha256"), [("medium", rung(200)), ("expert", scaled(1.0).sha256)])
+def test_the_policy_of_a_tier_can_be_loaded(tier: str, sha256: str) -> None:
+    policy = load_policy(VARIANT, tier=tier, stochastic=True)
+    assert policy.sha256 == sha256
+    assert not policy.deterministic
+    assert policy.algorithm == "TQC"
+
+
+@pytest.mark.parametrize(("tier", "count"), [("medium-expert", 2), ("ranked", 5)])
+def test_a_tier_of_several_policies_says_how_to_get_them(tier: str, count: int) -> None:
+    with pytest.raises(
+        PolicyNotFoundError,
+        match=rf"{count} policies make the tier '{tier}': .*parts\(\) .*valid here: expert, medium, random,",
+    ):
+        load_policy(VARIANT, tier=tier)
+
+
+@pytest.mark.parametrize(("tier", "shown"), [(None, "None"), (5, "5"), (["expert"], r"\['expert'\]")])
+def test_a_tier_of_another_type_is_refused(tier: Any, shown: str) -> None:
+    with pytest.raises(PolicyNotFoundError, match=f"no policy makes the tier {shown}; valid: expert, medium"):
+        load_policy(VARIANT, tier=tier)
+
+
+@pytest.mark.parametrize("variant", [None, 5, b"hopper-base"])
+def test_a_variant_of_another_type_is_refused(variant: Any) -> None:
+    with pytest.raises(VariantError, match="a variant id is text, not"):
+        load_policy(variant)
 
 
 def test_a_ranked_dataset_is_sound_and_carries_rank_and_return_and_the_same_with_two_jobs() -> None:
@@ -100,5 +130,7 @@ def test_a_tier_that_cannot_be_made_says_what_can() -> None:
         made("medum", 1)
     with pytest.raises(PolicyNotFoundError, match="--record-replay"):
         made("replay", 1)
-    with pytest.raises(PolicyNotFoundError, match="no ladder of policies for walker2d-massinc_7_leggeom"):
+    with pytest.raises(
+        PolicyNotFoundError, match="no ladder of policies exists for walker2d-massinc_7_leggeom"
+    ):
         parts(Variant.parse("walker2d-massinc_7_leggeom"), "medium", 1, path=None, stochastic=False)
