@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from imujoco_minari.errors import DatasetError, DatasetNotFoundError, VariantError, suggestion
+from imujoco_minari.errors import DatasetError, VariantError, suggestion
 from imujoco_minari.storage import file_format, minari_root
+from imujoco_minari.storage.missing import not_in_root
 from imujoco_minari.storage.reader import EpisodeFile
 
 if TYPE_CHECKING:
@@ -86,9 +87,7 @@ def _source(dataset: Any) -> Source:
         folder = minari_root.dataset_folder(dataset)
         file = file_format.main_file(folder / "data")
         if not folder.exists():
-            raise DatasetNotFoundError(
-                f"{dataset} is not in the Minari root, at {folder}; see `minari list local`"
-            )
+            raise not_in_root(dataset)
         if not file.is_file():
             raise DatasetError(f"{dataset} is not stored as HDF5: it has no {file.name}")
         return Source(dataset, file)

@@ -22,7 +22,7 @@ from minari.data_collector import EpisodeBuffer
 from minari.dataset.minari_storage import MinariStorage
 
 from imujoco_minari.envs.mjcf import canonical_mjcf, mjcf_sha256
-from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError, JobError
+from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError, JobError, NotFoundError
 from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies.references import reference_scores
 from imujoco_minari.policies.tiers import Part
@@ -50,6 +50,7 @@ class Published:
         content_sha256: digest of the arrays.
         seconds: wall time.
         error: why it failed; empty when it did not.
+        missing: whether it failed because something that was asked for does not exist.
     """
 
     dataset_id: str
@@ -62,6 +63,7 @@ class Published:
     content_sha256: str = ""
     seconds: float = 0.0
     error: str = ""
+    missing: bool = False
 
 
 def publish(
@@ -197,7 +199,7 @@ def _attempt(recipe: Recipe, force: bool) -> Published:
     try:
         return publish(recipe, force=force)
     except ImujocoError as error:
-        return Published(recipe.dataset_id, error=str(error))
+        return Published(recipe.dataset_id, error=str(error), missing=isinstance(error, NotFoundError))
 
 
 def _complete(recipe: Recipe, made_by: Sequence[Part], data: Path) -> None:

@@ -11,8 +11,9 @@ import h5py
 from gymnasium.envs.registration import EnvSpec
 from minari import MinariDataset
 
-from imujoco_minari.errors import DatasetError, DatasetNotFoundError
+from imujoco_minari.errors import DatasetError
 from imujoco_minari.storage import copying, file_format, minari_root
+from imujoco_minari.storage.missing import not_in_root
 from imujoco_minari.verification.identity import read_metadata
 
 # What tells of what an episode is; a collection says it itself where all its episodes agree.
@@ -65,7 +66,7 @@ def open_source(dataset: MinariDataset | str) -> Source:
     if isinstance(dataset, str):
         folder = minari_root.dataset_folder(dataset) / "data"
         if not folder.is_dir():
-            raise DatasetNotFoundError(f"{dataset} is not in the Minari root, at {folder.parent}")
+            raise not_in_root(dataset)
         # Read first: where another process replaces the dataset now, the file will not match.
         stated = read_metadata(folder).get("content_sha256")
         dataset = _load(dataset, folder)

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError
+from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError, NotFoundError
 from imujoco_minari.remotes.connecting import connect
 from imujoco_minari.remotes.stores import Store, explained, metadata, sources_of
 from imujoco_minari.storage import minari_root
@@ -37,6 +37,7 @@ class Pulled:
         same_simulator: whether the simulator here is the one that made it, so that a replay is exact.
         seconds: wall time.
         error: why it failed; empty when it did not.
+        missing: whether it failed because something that was asked for does not exist.
     """
 
     dataset_id: str
@@ -47,6 +48,7 @@ class Pulled:
     same_simulator: bool = True
     seconds: float = 0.0
     error: str = ""
+    missing: bool = False
 
 
 def pull(dataset_id: str, remote: str, *, token: str | None = None, force: bool = False) -> list[Pulled]:
@@ -83,7 +85,7 @@ def pull_all(
         try:
             yield from _pull(store, dataset_id, remote, force, done)
         except ImujocoError as error:
-            yield Pulled(dataset_id, remote, error=str(error))
+            yield Pulled(dataset_id, remote, error=str(error), missing=isinstance(error, NotFoundError))
 
 
 def _pull(store: Store, dataset_id: str, remote: str, force: bool, done: set[str]) -> Iterator[Pulled]:
