@@ -204,7 +204,7 @@ def test_the_command_writes_numbers_and_pictures_and_goes_on(
     pytest.importorskip("matplotlib")
     save_file(dict(actor(5).weights), tmp_path / "mine.safetensors")
     folder = tmp_path / "out"
-    arguments = ["transfer", "--robot", "hopper", "-c", "friction", "-n", "1", "--out", str(folder)]
+    arguments = ["transfer", "--robot", "hopper", "-c", "friction", "-n", "1", "--output", str(folder)]
     arguments += ["--policy", str(tmp_path / "mine.safetensors")]
     assert run(arguments) == 0
     assert "1 policies on 4 variants" in capsys.readouterr().out
