@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from imujoco_minari.cli.app import app, counted, out, print_json, print_table
+from imujoco_minari.cli.app import app, out, print_json, print_table
 from imujoco_minari.cli.options import AsJson, Category, Robot, VariantId, WithBase
-from imujoco_minari.cli.selection import Filters
+from imujoco_minari.cli.selection import Filters, counted_variants
 from imujoco_minari.errors import VariantError
 from imujoco_minari.policies import expert_record, expert_variants
 from imujoco_minari.storage import minari_root
-from imujoco_minari.variants import BASE, EXPERT, NAMESPACE, Variant, parse_dataset_id
+from imujoco_minari.variants import EXPERT, NAMESPACE, Variant, parse_dataset_id
 
 
 @app.command("list")
@@ -20,9 +20,9 @@ def list_variants(
 ) -> None:
     """List the variants of the catalogue.
 
-    It shows the tiers of each variant that are in the Minari root, and lists what other commands work on with the
-    same filters: `imujoco publish --robot hopper` publishes the variants that `imujoco list --robot hopper`
-    shows. The base robots are listed with --with-base.
+    It shows which tiers of each variant are in the Minari root. Other commands with the same filters work on
+    the variants that it lists: `imujoco list --robot hopper` lists those that `imujoco publish --robot
+    hopper` publishes. It lists the base robots only with --with-base.
 
     Examples: `imujoco list`, `imujoco list --robot hopper --category length`, `imujoco list --with-base`
     """
@@ -45,11 +45,9 @@ def list_variants(
         return
     columns = ("variant", "category", "body", "percent", "policy", "published")
     print_table(columns, [[_cell(row[column]) for column in columns] for row in rows], numeric=("percent",))
-    bases = sum(variant.category == BASE for variant in chosen)
-    words = [counted(len(chosen) - bases, "variant"), *([counted(bases, "base")] if bases else [])]
     out.print(
         "",
-        f"{' and '.join(words)}; {sum(row['policy'] for row in rows)} with an expert policy, "
+        f"{counted_variants(chosen)}; {sum(row['policy'] for row in rows)} with an expert policy, "
         f"{sum(bool(row['published']) for row in rows)} published in {minari_root.datasets_root()}",
     )
 

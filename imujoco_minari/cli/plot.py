@@ -9,6 +9,7 @@ import typer
 
 from imujoco_minari.cli.app import app, counted, out, print_json, progress, say
 from imujoco_minari.cli.options import AsJson, Category, DatasetIds, Episodes, Jobs, Output, Robot, Seed
+from imujoco_minari.cli.selection import counted_variants
 from imujoco_minari.errors import VariantError
 
 
@@ -106,7 +107,7 @@ def transfer(
         )
         return
     out.print(
-        f"{counted(len(result.policies), 'policy')} on {counted(len(result.variants), 'variant')}, "
+        f"{counted(len(result.policies), 'policy')} on {counted_variants(result.variants)}, "
         f"{counted(episodes, 'episode')} each",
         f"wrote {', '.join(str(file) for file in files)}",
     )

@@ -9,9 +9,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from imujoco_minari.cli.app import counted
 from imujoco_minari.errors import DatasetNotFoundError, VariantError
 from imujoco_minari.storage import minari_root
-from imujoco_minari.variants import EXPERT, Variant, catalogue
+from imujoco_minari.variants import BASE, EXPERT, Variant, catalogue
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,13 @@ class Filters:
 
 def _of(variants: Sequence[Variant], base: Variant) -> list[Variant]:
     return [variant for variant in variants if variant.robot == base.robot]
+
+
+def counted_variants(variants: Sequence[Variant]) -> str:
+    """Return how many variants and bases there are, in words: ``37 variants and 1 base``."""
+    bases = sum(variant.category == BASE for variant in variants)
+    words = [counted(len(variants) - bases, "variant"), *([counted(bases, "base")] if bases else [])]
+    return " and ".join(words)
 
 
 def select(names: Sequence[str] | None, filters: Filters) -> list[Variant]:

@@ -536,12 +536,12 @@ def test_the_command_renders_a_recorded_episode(
     ("arguments", "code", "words"),
     [
         (["hopper-massdec_25_legeom"], 2, "did you mean"),
-        (["hopper-base", "--tier", "mine", "--output", "a.png"], 1, "policy makes the tier 'mine'"),
+        (["hopper-base", "--tier", "mine", "--output", "a.png"], 2, "policy makes the tier 'mine'"),
         (["hopper-base", "--tier", "random", "--output", "a.avi"], 1, "valid endings"),
         (["hopper-base", "--tier", "random", "--sheet", "--output", "a.gif"], 1, "give --output a .png"),
         (["hopper-base", "--tier", "random", "--output", "a.png", "--size", "big"], 1, "WIDTHxHEIGHT"),
         (["hopper-base", "--tier", "random", "--output", "a.png", "--size", "1x1"], 1, "64 to 4096"),
-        (["imujoco/hopper-base-v0", "--output", "a.png"], 1, "is not in the Minari root"),
+        (["imujoco/hopper-base-v0", "--output", "a.png"], 2, "is not in the Minari root"),
     ],
 )
 def test_the_command_names_what_is_wrong(
