@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from imujoco_minari.training.run import OnInterval, Progress
     from imujoco_minari.training.sweep import Plan, Trained
 
-policy = typer.Typer(help="Use a policy in other libraries.", no_args_is_help=True)
+policy = typer.Typer(help="Use a policy in other libraries.")
 app.add_typer(policy, name="policy")
 
 
@@ -237,7 +237,9 @@ def export(
     variant: VariantId,
     path: Annotated[Path, typer.Argument(metavar="FILE", help="The .zip to write.")],
 ) -> None:
-    """Write a variant's expert as a zip that stable_baselines3.SAC.load opens.
+    """Write a variant's expert for Stable-Baselines3.
+
+    The file is a zip that `stable_baselines3.SAC.load` opens.
 
     Example: `imujoco policy export hopper-massdec_25_leggeom expert.zip`
     """
