@@ -271,7 +271,7 @@ def commit(staged: Path, dataset_id: str, *, replace: bool = False) -> Path:
             if not replace:
                 raise DatasetExistsError(
                     f"{dataset_id} is already there, at {target}; it was left alone "
-                    "(--force replaces it, `minari delete` removes it)"
+                    "(--force replaces it, `imujoco delete` removes it)"
                 ) from None
             if not (target / "data").is_dir():
                 raise DatasetExistsError(
