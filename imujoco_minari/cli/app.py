@@ -165,7 +165,9 @@ class Printer:
     def print(self, *lines: str, style: str = "", start: str = "") -> None:
         """Print each of the lines in ``style``; the first begins with ``start`` in bold red."""
         text = Text("\n").join(Text(printable(line), style) for line in lines)
-        self.console.print(Text(start, "bold red") + text if start else text)
+        # On one terminal, the console that shows a bar must print, so that the lines go above the bar.
+        console = err.console if self.console.is_terminal and err.console.is_terminal else self.console
+        console.print(Text(start, "bold red") + text if start else text)
 
 
 out = Printer()

@@ -106,7 +106,7 @@ def train_variants(
         return
     gather(
         _trained(chosen, plan, jobs, backend, as_json),
-        partial(_describe_trained, plan=plan),
+        partial(describe_trained, plan=plan),
         as_json=as_json,
         name="variant",
     )
@@ -161,7 +161,8 @@ def _teller(quiet: bool) -> OnInterval:
 _WEAK = 0.5
 
 
-def _describe_trained(outcome: Trained, plan: Plan) -> tuple[str, ...]:
+def describe_trained(outcome: Trained, plan: Plan) -> tuple[str, ...]:
+    """Return what to print of a variant or generalist that was trained, or has an expert already."""
     variant, made = outcome.variant, _made(outcome.record)
     if outcome.created:
         lines = ["trained", f"{variant}: {made}"]

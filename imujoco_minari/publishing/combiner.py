@@ -29,7 +29,7 @@ from imujoco_minari.publishing.joining import Joiner, NotPlainError
 from imujoco_minari.publishing.sources import IDENTITY, Source, check_sources, open_source
 from imujoco_minari.storage import copying, file_format, minari_root
 from imujoco_minari.storage.quiet_file import writing
-from imujoco_minari.variants import EXPERT, NAMESPACE, Variant, catalogue
+from imujoco_minari.variants import EXPERT, NAMESPACE, Variant
 from imujoco_minari.variants.original import (
     CATALOGUE,
     ORIGINAL,
@@ -105,12 +105,6 @@ def combine_datasets(
         minari_root.commit(staged, new_dataset_id, replace=force)
     with minari_root.failures_named():
         return MinariDataset(folder / "data")
-
-
-def published_ids(robot: str, category: str | None = None, tier: str = EXPERT) -> list[str]:
-    """Return the ids of the catalogue's datasets of a robot, category and tier that are in the root."""
-    ids = (variant.dataset_id(tier) for variant in catalogue(robot, category))
-    return [dataset_id for dataset_id in ids if minari_root.exists(dataset_id)]
 
 
 def collection_id(robot: str, category: str | None = None, tier: str = EXPERT) -> str:

@@ -62,6 +62,19 @@ def test_a_bar_is_named_as_text(text: str, monkeypatch: pytest.MonkeyPatch) -> N
     assert "\x1b]" not in console.file.getvalue()  # type: ignore[attr-defined]
 
 
+def test_lines_go_above_a_bar_on_the_same_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    screen = io.StringIO()
+    for printer in (out, err):
+        console = Console(file=screen, force_terminal=True, width=200, color_system=None)
+        monkeypatch.setattr(printer, "console", console)
+    with progress("bar", 2) as advance:
+        out.print("a result")
+        advance()
+    before = screen.getvalue().partition("a result")[0]
+    # The line of the bar was cleared.
+    assert before.endswith("\x1b[2K")
+
+
 @pytest.fixture
 def hostile_names(small_datasets: list[str], root: Path) -> str:
     """A dataset whose HDF5 file holds hostile names."""
