@@ -14,7 +14,11 @@ class ImujocoError(Exception):
     """The base of all errors raised by this package."""
 
 
-class VariantError(ImujocoError, ValueError):
+class NotFoundError(ImujocoError):
+    """The user asked for something that does not exist. The command line then exits with 2, not 1."""
+
+
+class VariantError(NotFoundError, ValueError):
     """An id, robot, category, percent or body that does not name a variant."""
 
 
@@ -30,7 +34,7 @@ class PolicyError(ImujocoError, ValueError):
     """A policy file that cannot be read, or that does not fit the robot."""
 
 
-class PolicyNotFoundError(ImujocoError, FileNotFoundError):
+class PolicyNotFoundError(NotFoundError, FileNotFoundError):
     """No policy is shipped, or lies at the given path, for what was asked."""
 
 
@@ -38,11 +42,15 @@ class DatasetError(ImujocoError, ValueError):
     """A dataset whose content or identity is not what it must be."""
 
 
+class DatasetIdError(NotFoundError, DatasetError):
+    """A text that is not a dataset id."""
+
+
 class DatasetExistsError(ImujocoError, FileExistsError):
     """A dataset id that is already taken."""
 
 
-class DatasetNotFoundError(ImujocoError, FileNotFoundError):
+class DatasetNotFoundError(NotFoundError, FileNotFoundError):
     """A dataset id that names nothing in the Minari root."""
 
 

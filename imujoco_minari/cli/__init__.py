@@ -1,12 +1,15 @@
-"""The command line: parse the arguments, call the package, show the result.
+"""The command line. It is the only package that prints or exits.
 
-Only this package prints or exits. Each module holds a group of commands and adds them to :data:`app`. Exit
-codes: 0 done, 1 failed, 2 asked for something that does not exist, 130 interrupted.
+- ``app`` holds the application and prints, fails, shows progress and gathers the outcomes of a batch.
+- ``options`` holds the options that commands share, ``selection`` the filters, ``estimates`` the costs.
+- Each other module holds commands that belong together and adds them to :data:`app`.
+
+Exit codes: 0 done, 1 failed, 2 something that was asked for does not exist, 130 interrupted.
 """
 
 from __future__ import annotations
 
-# Each import adds its module's commands to the application, in the order that the help shows.
+# Each import adds its module's commands to the application. The help shows them in this order.
 from imujoco_minari.cli import catalogue, datasets, export, gallery, importing, plot, remote, render, training
 from imujoco_minari.cli.app import app, main
 

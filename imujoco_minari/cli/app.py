@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import inspect
 import json
+import math
 import multiprocessing.util
 import os
+import re
 import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from types import FrameType
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol, TypeVar
 
 import typer
 from rich.console import Console
@@ -24,26 +28,20 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.text import Text
 
-from imujoco_minari.errors import CatalogueError, ImujocoError, VariantError
-from imujoco_minari.variants import ROBOTS
+from imujoco_minari.errors import ImujocoError, NotFoundError
 
+# Help is plain text: Markdown and Rich's markup take `<variant>` and `[DIR]` for tags and drop them.
 app = typer.Typer(
     name="imujoco",
     help="Publish, verify and combine Minari datasets of perturbed MuJoCo robots (iMuJoCo).",
-    no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=False,
-    rich_markup_mode="markdown",
+    rich_markup_mode=None,
+    context_settings={"max_content_width": 110},
 )
-INTERRUPTED = 130
-out = Console(highlight=False, soft_wrap=True)
-err = Console(stderr=True, highlight=False, soft_wrap=True)
-
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")]
-_ROBOTS = f"{', '.join(ROBOTS[:-1])} or {ROBOTS[-1]}."
-Robot = Annotated[str | None, typer.Option("--robot", "-r", help=_ROBOTS)]
-Category = Annotated[str | None, typer.Option("--category", "-c", help="mass, joint, length or friction.")]
+FAILED, MISSING, INTERRUPTED = 1, 2, 130
 
 
 def main() -> None:
@@ -52,25 +50,28 @@ def main() -> None:
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         interrupts.append(number)
-        # What is taken down in the midst of its work has nothing to say that helps: joblib warns of jobs
-        # that it cancels, and now and then the thread that hands them out stumbles.
+        # Work that is stopped half-way has no useful warnings: joblib warns of the jobs that it cancels,
+        # and sometimes the thread that hands them out fails.
         warnings.simplefilter("ignore")
-        threading.excepthook = _say_nothing
+        threading.excepthook = _ignore_thread_exception
         signal.default_int_handler(number, frame)
 
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, interrupt)
+    for stream in (sys.stdout, sys.stderr):
+        # A character that the terminal's encoding lacks is printed as an escape.
+        stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     try:
         code = run(sys.argv[1:])
     except (Exception, KeyboardInterrupt):
-        # An extension that is interrupted as it is imported says that its import failed, and so on.
+        # An extension module that is interrupted while it is imported raises an ImportError, and so on.
         if not interrupts:
             raise
         code = INTERRUPTED
     if code == INTERRUPTED or (code and interrupts):
-        # All is cleaned up by now. The interpreter's own farewell would take HDF5 files that were
-        # interrupted in their closing apart in any order, and complain. Only the semaphores of worker
-        # processes are still given back, or who keeps their books reports them as leaked.
+        # Everything is cleaned up by now. A normal exit of the interpreter would close interrupted HDF5
+        # files in any order and print errors. The semaphores of worker processes are released here,
+        # otherwise the resource tracker reports them as leaked.
         multiprocessing.util._run_finalizers(0)  # type: ignore[attr-defined]
         sys.stdout.flush()
         sys.stderr.flush()
@@ -78,35 +79,129 @@ def main() -> None:
     sys.exit(code)
 
 
-def _say_nothing(raised: threading.ExceptHookArgs) -> None:
-    """Take an exception that ended a thread, after an interrupt."""
+def _ignore_thread_exception(raised: threading.ExceptHookArgs) -> None:
+    """Ignore an exception that ended a thread after an interrupt."""
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run one command and return its exit code; turn what is the user's to mend into one line."""
+    """Run one command and return its exit code. Print a user's mistake as one line.
+
+    With ``--json``, standard output gets exactly one JSON document, also when the command fails.
+    """
     try:
-        app(list(arguments))
-    except SystemExit as exit_:
-        return exit_.code if isinstance(exit_.code, int) else int(bool(exit_.code))
+        # The exit code of a command that left by typer.Exit, or None.
+        code: int = command().main(list(arguments) or ["--help"], prog_name="imujoco", standalone_mode=False)
+        if code != INTERRUPTED:
+            return code or 0
+        message = "interrupted"
+    except typer.TyperException as error:
+        context = getattr(error, "ctx", None)
+        hint = f"; see `{context.command_path} --help`" if context else ""
+        format_message: Callable[[], str] = getattr(error, "format_message", error.__str__)
+        message, code = format_message().rstrip(".") + hint, MISSING
     except ImujocoError as error:
-        fail(str(error))
-        return 2 if isinstance(error, VariantError | CatalogueError) else 1
-    return 0
+        message, code = str(error), exit_code([isinstance(error, NotFoundError)])
+    except typer.Abort:
+        message, code = "stopped: nothing was changed", FAILED
+    except Exception as error:
+        # This is our mistake: Python shows where it happened.
+        if "--json" in arguments:
+            print_json({"error": f"{type(error).__name__}: {error}"})
+        raise
+    if code != INTERRUPTED:
+        fail(message)
+    if "--json" in arguments:
+        print_json({"error": message})
+    return code
+
+
+def command() -> Any:
+    """Return the command line as a Click command, with the examples of each help text one a line."""
+    root = typer.main.get_command(app)
+    for each in _commands(root):
+        text, *rest = re.split(r"\n\nExamples?:", inspect.cleandoc(each.help or ""), maxsplit=1)
+        shown = ["  " + " ".join(part.split()) for part in re.findall(r"`([^`]+)`", "".join(rest))]
+        each.help = text
+        # \b keeps Click from joining the lines.
+        each.epilog = "\n".join(["\b", "Examples:", *shown]) if shown else None
+    return root
+
+
+def _commands(root: Any) -> Iterator[Any]:
+    yield root
+    for each in getattr(root, "commands", {}).values():
+        yield from _commands(each)
+
+
+def exit_code(missing: Sequence[bool]) -> int:
+    """Return the exit code of failures: 2 when each was a request for something that does not exist."""
+    return MISSING if all(missing) else FAILED
+
+
+def printable(text: object) -> str:
+    r"""Return text from outside so that a terminal shows it as it is, in one line.
+
+    Control characters, line breaks, characters that change the direction of text, and bytes that are
+    not UTF-8 become escapes such as ``\x1b``. Ids, paths, HDF5 names and messages may hold any of them.
+    """
+    text = str(text)
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+class Printer:
+    """Print lines to a stream. A line may hold text from outside: it is made printable.
+
+    Rich sees finished text only, so no markup or emoji code in it has an effect.
+
+    Args:
+        stderr: print to standard error instead of standard output.
+    """
+
+    def __init__(self, *, stderr: bool = False) -> None:
+        self.console = Console(stderr=stderr, highlight=False, soft_wrap=True)
+
+    def print(self, *lines: str, style: str = "", start: str = "") -> None:
+        """Print each of the lines in ``style``; the first begins with ``start`` in bold red."""
+        text = Text("\n").join(Text(printable(line), style) for line in lines)
+        # On one terminal, the console that shows a bar must print, so that the lines go above the bar.
+        console = err.console if self.console.is_terminal and err.console.is_terminal else self.console
+        console.print(Text(start, "bold red") + text if start else text)
+
+
+out = Printer()
+err = Printer(stderr=True)
 
 
 def fail(message: str) -> None:
     """Print an error in one line."""
-    err.print(f"[bold red]error:[/] {_escape(message)}")
+    err.print(message, start="error: ")
 
 
 def say(message: str) -> None:
-    """Print a line for people; on the error stream, so that standard output holds results only."""
-    err.print(_escape(message))
+    """Print a line for people. It goes to standard error: standard output holds results only."""
+    err.print(message)
 
 
 def print_json(value: Any) -> None:
-    """Print a value as JSON."""
-    sys.stdout.write(json.dumps(value, indent=2, default=str) + "\n")
+    """Print a value as one strict JSON document: a number that is not finite becomes null."""
+    sys.stdout.write(json.dumps(_jsonable(value), indent=2, allow_nan=False) + "\n")
+
+
+def _jsonable(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {_jsonable(str(key)): _jsonable(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_jsonable(item) for item in value]
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if value is None or isinstance(value, bool | int):
+        return value
+    if hasattr(value, "tolist"):
+        return _jsonable(value.tolist())
+    # JSON's escapes cannot hold a lone surrogate, which is how Python holds a byte that is not UTF-8.
+    return str(value).encode("utf-8", "backslashreplace").decode()
 
 
 def print_table(
@@ -114,38 +209,106 @@ def print_table(
 ) -> None:
     """Print rows of text as a table, with the columns named in ``numeric`` aligned to the right.
 
-    Rich's own table takes 0.1 s for the catalogue, and cuts columns where it knows no terminal.
+    Rich's own table takes 0.1 s for the catalogue, and cuts columns when it does not know the terminal.
     """
-    table = [list(columns), *(list(row) for row in rows)]
+    table = [[printable(cell) for cell in row] for row in (columns, *rows)]
     widths = [max(map(len, cells)) for cells in zip(*table, strict=True)]
     align = [str.rjust if column in numeric else str.ljust for column in columns]
     lines = [
         "  ".join(place(cell, width) for place, cell, width in zip(align, row, widths, strict=True)).rstrip()
         for row in table
     ]
-    out.print(f"[bold]{_escape(lines[0])}[/]")
+    out.print(lines[0], style="bold")
     if rows:
-        out.print("\n".join(lines[1:]), markup=False)
+        out.print(*lines[1:])
+
+
+def counted(count: int, noun: str) -> str:
+    """Return a count in words: ``1 base``, ``3 bases``, ``1 policy``, ``2 policies``."""
+    if count != 1:
+        noun = noun[:-1] + "ies" if noun.endswith("y") else noun + "s"
+    return f"{count} {noun}"
+
+
+class Outcome(Protocol):
+    """What became of one item of a batch."""
+
+    @property
+    def error(self) -> str:
+        """Why it failed; empty when it did not."""
+
+    @property
+    def missing(self) -> bool:
+        """Whether it failed because something that was asked for does not exist."""
+
+
+_Outcome = TypeVar("_Outcome", bound=Outcome)
+
+
+def gather(
+    outcomes: Iterable[_Outcome],
+    describe: Callable[[_Outcome], tuple[str, ...]],
+    *,
+    as_json: bool,
+    name: str = "dataset_id",
+) -> None:
+    """Print the outcomes of a batch as they come and its failures at the end. Exit with their code.
+
+    Args:
+        outcomes: what the batch yields, failures included.
+        describe: returns what to print of an outcome that is no failure: a verb, the rest of its line,
+            and further lines. The last line of the batch counts the verbs.
+        as_json: print one JSON document instead of lines.
+        name: the attribute of an outcome that names it.
+
+    Raises:
+        typer.Exit: when one of them failed.
+    """
+    gathered: list[_Outcome] = []
+    verbs = Counter[str]()
+    stopped: ImujocoError | None = None
+    try:
+        for outcome in outcomes:
+            gathered.append(outcome)
+            if not outcome.error:
+                verb, line, *details = describe(outcome)
+                verbs[verb] += 1
+                if not as_json:
+                    out.print(f"{verb} {line}", *details)
+    except ImujocoError as error:
+        stopped = error
+    if as_json:
+        results = [vars(outcome) for outcome in gathered]
+        print_json(results if stopped is None else {"results": results, "error": str(stopped)})
+    failures = [outcome for outcome in gathered if outcome.error]
+    for outcome in failures:
+        named = str(getattr(outcome, name))
+        fail(outcome.error if named in outcome.error else f"{named}: {outcome.error}")
+    if len(gathered) > 1:
+        say(", ".join([*(f"{verb} {count}" for verb, count in verbs.items()), f"failed {len(failures)}"]))
+    if stopped is not None:
+        fail(str(stopped))
+    missing = [outcome.missing for outcome in failures]
+    missing += [] if stopped is None else [isinstance(stopped, NotFoundError)]
+    if missing:
+        raise typer.Exit(exit_code(missing))
 
 
 @contextmanager
 def progress(description: str, total: int, *, quiet: bool = False) -> Iterator[Callable[[], None]]:
-    """Show a bar with an estimate on the error stream, and yield what advances it by one."""
+    """Show a bar with an estimate on the error stream, and yield the function that advances it by one."""
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
         TextColumn("left"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=err, disable=quiet or not err.is_terminal) as bar:
-        task = bar.add_task(_escape(description), total=total)
+    console = err.console
+    with Progress(*columns, console=console, disable=quiet or not console.is_terminal) as bar:
+        task = bar.add_task(printable(description), total=total)
         yield lambda: bar.advance(task)
-
-
-def _escape(text: str) -> str:
-    return text.replace("[", r"\[")
 
 
 def _version(show: bool) -> None:

@@ -2,27 +2,33 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from collections.abc import Mapping
+from typing import Any
 
-import typer
-
-from imujoco_minari.cli.app import AsJson, Category, Robot, app, out, print_json, print_table
+from imujoco_minari.cli.app import app, out, print_json, print_table
+from imujoco_minari.cli.options import AsJson, Category, Robot, VariantId, WithBase
+from imujoco_minari.cli.selection import Filters, counted_variants
+from imujoco_minari.errors import VariantError
 from imujoco_minari.policies import expert_record, expert_variants
 from imujoco_minari.storage import minari_root
-from imujoco_minari.variants import Variant, bases, catalogue
+from imujoco_minari.variants import EXPERT, NAMESPACE, Variant, parse_dataset_id
 
 
 @app.command("list")
-def list_variants(robot: Robot = None, category: Category = None, as_json: AsJson = False) -> None:
-    """List the variants of the catalogue, and what of each is here.
+def list_variants(
+    robot: Robot = None, category: Category = None, with_base: WithBase = False, as_json: AsJson = False
+) -> None:
+    """List the variants of the catalogue.
 
-    Examples: `imujoco list`, `imujoco list --robot hopper --category length`
+    It shows which tiers of each variant are in the Minari root. Other commands with the same filters work on
+    the variants that it lists: `imujoco list --robot hopper` lists those that `imujoco publish --robot
+    hopper` publishes. It lists the base robots only with --with-base.
+
+    Examples: `imujoco list`, `imujoco list --robot hopper --category length`, `imujoco list --with-base`
     """
-    chosen = catalogue(robot, category)
-    if category is None:
-        chosen = tuple(base for base in bases() if robot in (None, base.robot)) + chosen
-    experts = set(expert_variants())
-    rows = [
+    chosen = Filters(robot, category, with_base=with_base).variants()
+    experts, tiers = set(expert_variants()), _published_tiers()
+    rows: list[dict[str, Any]] = [
         {
             "variant": str(variant),
             "robot": variant.robot,
@@ -30,7 +36,7 @@ def list_variants(robot: Robot = None, category: Category = None, as_json: AsJso
             "body": variant.body,
             "percent": variant.percent,
             "policy": variant in experts,
-            "published": minari_root.exists(variant.dataset_id()),
+            "published": tiers.get(variant, []),
         }
         for variant in chosen
     ]
@@ -39,17 +45,30 @@ def list_variants(robot: Robot = None, category: Category = None, as_json: AsJso
         return
     columns = ("variant", "category", "body", "percent", "policy", "published")
     print_table(columns, [[_cell(row[column]) for column in columns] for row in rows], numeric=("percent",))
-    listed = sum(variant in set(catalogue()) for variant in chosen)
     out.print(
-        f"\n{listed} variants and {len(chosen) - listed} bases; "
-        f"{sum(bool(row['policy']) for row in rows)} with an expert policy, "
-        f"{sum(bool(row['published']) for row in rows)} published in {minari_root.datasets_root()}"
+        "",
+        f"{counted_variants(chosen)}; {sum(row['policy'] for row in rows)} with an expert policy, "
+        f"{sum(bool(row['published']) for row in rows)} published in {minari_root.datasets_root()}",
     )
 
 
+def _published_tiers() -> dict[Variant, list[str]]:
+    """Return the tiers of each variant that are in the Minari root, the expert's first."""
+    tiers: dict[Variant, list[str]] = {}
+    for folder in minari_root.datasets_root().glob(f"{NAMESPACE}/*-v0"):
+        try:
+            variant, tier = parse_dataset_id(f"{NAMESPACE}/{folder.name}")
+        except VariantError:
+            continue
+        tiers.setdefault(variant, []).append(tier)
+    return {
+        variant: sorted(found, key=lambda tier: (tier != EXPERT, tier)) for variant, found in tiers.items()
+    }
+
+
 @app.command()
-def show(variant: Annotated[str, typer.Argument(help="A variant id.")], as_json: AsJson = False) -> None:
-    """Show what a variant changes, in numbers, and the policy that is shipped for it.
+def show(variant: VariantId, as_json: AsJson = False) -> None:
+    """Show what a variant changes, in numbers, and its policy.
 
     Example: `imujoco show hopper-massdec_25_leggeom`
     """
@@ -58,23 +77,23 @@ def show(variant: Annotated[str, typer.Argument(help="A variant id.")], as_json:
     parsed = Variant.parse(variant)
     changed = differences(parsed)
     record = expert_record(parsed)
+    tiers = _published_tiers().get(parsed, [])
     if as_json:
         print_json(
             {
                 "variant": str(parsed),
                 "environment": parsed.environment_id,
                 "dataset": parsed.dataset_id(),
-                "published": minari_root.exists(parsed.dataset_id()),
+                "published": tiers,
                 "changes": [vars(difference) for difference in changed],
-                "record": dict(record),
+                "record": record,
             }
         )
         return
-    out.print(f"[bold]{parsed}[/]")
-    out.print(f"environment  {parsed.environment_id}")
-    published = minari_root.exists(parsed.dataset_id())
+    out.print(str(parsed), style="bold")
+    published = f"published here: {', '.join(tiers)}" if tiers else "not published here"
     out.print(
-        f"dataset      {parsed.dataset_id()}  ({'published here' if published else 'not published here'})\n"
+        f"environment  {parsed.environment_id}", f"dataset      {parsed.dataset_id()}  ({published})", ""
     )
     if changed:
         rows = [[d.quantity, f"{d.before:.6g}", f"{d.after:.6g}", d.unit] for d in changed]
@@ -85,7 +104,7 @@ def show(variant: Annotated[str, typer.Argument(help="A variant id.")], as_json:
     _print_record(record)
 
 
-def _print_record(record: Any) -> None:
+def _print_record(record: Mapping[str, Any]) -> None:
     if not record:
         out.print("no expert policy is shipped: `imujoco train` makes one")
         return
@@ -106,4 +125,6 @@ def _print_record(record: Any) -> None:
 def _cell(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "-"
+    if isinstance(value, list):
+        return ", ".join(value) or "-"
     return f"{value:+d}" if isinstance(value, int) else str(value)

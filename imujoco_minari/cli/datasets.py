@@ -1,241 +1,325 @@
-"""``imujoco publish``, ``combine`` and ``verify``: datasets into, within and out of the Minari root."""
+"""``imujoco publish``, ``combine``, ``verify`` and ``delete``: the datasets of the Minari root."""
 
 from __future__ import annotations
 
-from pathlib import Path
+import sys
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from imujoco_minari.cli.app import (
-    AsJson,
-    Category,
-    Robot,
     app,
+    counted,
+    exit_code,
     fail,
+    gather,
     out,
     print_json,
     print_table,
+    printable,
     progress,
     say,
 )
-from imujoco_minari.errors import DatasetNotFoundError, VariantError
-from imujoco_minari.variants import EXPERT, Variant, bases, catalogue
+from imujoco_minari.cli.estimates import cost, plan, publishing_line, size_text
+from imujoco_minari.cli.options import (
+    AsJson,
+    Backend,
+    Category,
+    Episodes,
+    Everything,
+    Force,
+    Jobs,
+    MaybeDatasetIds,
+    Policy,
+    Robot,
+    Seed,
+    Tier,
+    Tiers,
+    VariantIds,
+    WithBase,
+)
+from imujoco_minari.cli.selection import Filters, select, select_datasets
+from imujoco_minari.errors import ImujocoError, NotFoundError, VariantError
+from imujoco_minari.variants import EXPERT
 
 if TYPE_CHECKING:
+    from imujoco_minari.cli.estimates import Planned
     from imujoco_minari.publishing.publisher import Published
     from imujoco_minari.publishing.recipes import Recipe
-
-Jobs = Annotated[int, typer.Option("--jobs", "-j", min=1, help="How many processes.")]
-Backend = Annotated[
-    str | None,
-    typer.Option("--backend", help="Where they run: loky (here), or a running cluster: ray or dask."),
-]
-Tier = Annotated[str, typer.Option("--tier", "-t", help="Which policy makes the data.")]
+    from imujoco_minari.publishing.removal import Deleted
+    from imujoco_minari.verification import Finding
 
 
 @app.command("publish")
 def publish_datasets(
-    variants: Annotated[list[str] | None, typer.Argument(help="Variant ids.")] = None,
+    variants: VariantIds = None,
     robot: Robot = None,
     category: Category = None,
-    everything: Annotated[bool, typer.Option("--all", help="All 154 variants.")] = False,
-    tier: Tier = EXPERT,
-    episodes: Annotated[int, typer.Option("--episodes", "-n", min=1, help="Episodes a dataset.")] = 100,
-    seed: Annotated[int, typer.Option("--seed", "-s", min=0, help="Base seed of all that is random.")] = 0,
-    policy: Annotated[
-        Path | None, typer.Option("--policy", help="A Stable-Baselines3 .zip or .safetensors.")
-    ] = None,
-    stochastic: Annotated[bool, typer.Option("--stochastic", help="Sample actions, not their mode.")] = False,
+    everything: Everything = False,
+    with_base: WithBase = False,
+    tiers: Tiers = None,
+    episodes: Episodes = 100,
+    seed: Seed = 0,
+    policy: Policy = None,
+    stochastic: Annotated[
+        bool, typer.Option("--stochastic", help="Sample actions instead of taking their mode.")
+    ] = False,
     jobs: Jobs = 1,
     backend: Backend = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace what has the id.")] = False,
+    force: Force = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print what would be published, and publish nothing.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Publish variants as Minari datasets.
 
-    A dataset that is there already is left alone. A variant that fails is named at the end.
+    The policy of each tier makes the episodes; the default is the expert. A dataset that exists already is
+    left alone. The command goes on after a failure and names the failures at the end.
 
     Examples: `imujoco publish hopper-massdec_25_leggeom`,
-    `imujoco publish --robot hopper --jobs 2`,
+    `imujoco publish --robot hopper --tier expert --tier random --jobs 2`,
+    `imujoco publish --all --with-base --dry-run`,
     `imujoco publish walker2d-base --tier mine --policy sac.zip`
     """
     from imujoco_minari.publishing.recipes import Recipe
 
-    chosen = select(variants or [], robot, category, everything)
-    recipes = [Recipe(variant, tier, episodes, seed, policy, stochastic) for variant in chosen]
-    finish(_publish(recipes, jobs, backend, force, quiet=as_json), as_json)
+    chosen = select(variants, Filters(robot, category, everything, with_base))
+    recipes = [
+        Recipe(variant, tier, episodes, seed, policy, stochastic)
+        for tier in dict.fromkeys(tiers or [EXPERT])
+        for variant in chosen
+    ]
+    if dry_run or len(recipes) > 1:
+        planned = [plan(recipe, force=force) for recipe in recipes]
+        if not as_json:
+            say(publishing_line(planned, jobs))
+        if dry_run:
+            gather(planned, _describe_planned, as_json=as_json)
+            return
+    gather(_published(recipes, jobs, backend, force, quiet=as_json), describe_published, as_json=as_json)
 
 
-def finish(outcomes: list[Published], as_json: bool) -> None:
-    """Print what is left to say of a batch, its failures last, and exit with 1 when there are any."""
-    if as_json:
-        print_json([vars(outcome) for outcome in outcomes])
-    failures = [outcome for outcome in outcomes if outcome.error]
-    for outcome in failures:
-        fail(f"{outcome.dataset_id}: {outcome.error}" if len(outcomes) > 1 else outcome.error)
-    if len(outcomes) > 1:
-        made = sum(outcome.created for outcome in outcomes)
-        say(f"{made} published, {len(outcomes) - made - len(failures)} there already, {len(failures)} failed")
-    if failures:
-        raise typer.Exit(1)
-
-
-def select(names: list[str], robot: str | None, category: str | None, everything: bool) -> list[Variant]:
-    """Return the variants that arguments and filters name; the filters go over the catalogue and the bases.
-
-    Raises:
-        VariantError: when nothing is named.
-    """
-    if names:
-        return list(dict.fromkeys(Variant.parse(name) for name in names))
-    if not (robot or category or everything):
-        raise VariantError("name a variant, or choose some by --robot, --category or --all")
-    chosen = list(catalogue(robot, category))
-    return chosen if category else [base for base in bases() if robot in (None, base.robot)] + chosen
-
-
-def _publish(
+def _published(
     recipes: list[Recipe], jobs: int, backend: str | None, force: bool, *, quiet: bool
-) -> list[Published]:
-    from imujoco_minari.errors import ImujocoError
+) -> Iterator[Published]:
+    """Publish each recipe and yield what became of it, behind a bar of datasets, or of one's episodes."""
     from imujoco_minari.publishing.publisher import Published, publish, publish_all
 
-    outcomes = []
-    if len(recipes) == 1 and backend is None:
-        with progress(str(recipes[0].variant), recipes[0].episodes, quiet=quiet) as advance:
-            try:
-                outcomes = [publish(recipes[0], jobs=jobs, force=force, on_episode=advance)]
-            except ImujocoError as error:
-                outcomes = [Published(recipes[0].dataset_id, error=str(error))]
-        report(outcomes[0], quiet)
-        return outcomes
-    with progress("publishing", len(recipes), quiet=quiet) as advance:
-        for outcome in publish_all(recipes, jobs=jobs, force=force, backend=backend):
-            outcomes.append(outcome)
-            report(outcome, quiet)
-            advance()
-    return outcomes
-
-
-def report(outcome: Published, quiet: bool) -> None:
-    """Print what became of one dataset, unless it failed or ``quiet`` is set."""
-    if quiet or outcome.error:
+    if len(recipes) > 1 or backend is not None:
+        with progress("publishing", len(recipes), quiet=quiet) as advance:
+            for outcome in publish_all(recipes, jobs=jobs, force=force, backend=backend):
+                yield outcome
+                advance()
         return
-    if outcome.created:
-        out.print(
-            f"published {outcome.dataset_id}: {outcome.episodes} episodes, {outcome.steps} steps, return "
-            f"{outcome.return_mean:.1f} ± {outcome.return_std:.1f}, in {outcome.seconds:.1f} s\n"
-            f"  at {outcome.path}"
+    with progress(str(recipes[0].variant), recipes[0].episodes, quiet=quiet) as advance:
+        try:
+            outcome = publish(recipes[0], jobs=jobs, force=force, on_episode=advance)
+        except ImujocoError as error:
+            missing = isinstance(error, NotFoundError)
+            outcome = Published(recipes[0].dataset_id, error=str(error), missing=missing)
+    yield outcome
+
+
+def describe_published(outcome: Published) -> tuple[str, ...]:
+    """Return what to print of a dataset that was published, or exists already."""
+    if not outcome.created:
+        return (
+            "left alone",
+            f"{outcome.dataset_id}: it exists already, at {outcome.path} (--force replaces it)",
         )
-    else:
-        out.print(
-            f"left alone {outcome.dataset_id}: it is there already, at {outcome.path} (--force replaces it)"
-        )
+    return (
+        "published",
+        f"{outcome.dataset_id}: {counted(outcome.episodes, 'episode')}, {counted(outcome.steps, 'step')}, "
+        f"return {outcome.return_mean:.1f} ± {outcome.return_std:.1f}, in {outcome.seconds:.1f} s",
+        f"  at {outcome.path}",
+    )
+
+
+def _describe_planned(planned: Planned) -> tuple[str, ...]:
+    if planned.action == "leave alone":
+        return "would leave alone", f"{planned.dataset_id}: it exists already"
+    words = f"{counted(planned.episodes, 'episode')}, {cost(planned.bytes, planned.seconds)}"
+    return f"would {planned.action}", f"{planned.dataset_id}: {words}"
 
 
 @app.command()
 def combine(
-    ids: Annotated[list[str] | None, typer.Argument(help="Dataset ids.")] = None,
-    new_id: Annotated[str | None, typer.Option("--id", help="Id of the collection.")] = None,
+    ids: MaybeDatasetIds = None,
+    new_id: Annotated[str | None, typer.Option("--id", metavar="ID", help="Id of the collection.")] = None,
     robot: Robot = None,
     category: Category = None,
+    with_base: WithBase = False,
     tier: Tier = EXPERT,
     link: Annotated[
         bool, typer.Option("--link", help="Refer to the episodes instead of copying them.")
     ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Replace what has the id.")] = False,
+    force: Force = False,
     as_json: AsJson = False,
 ) -> None:
     """Combine datasets of one robot into a collection.
 
-    With --robot, all datasets of the catalogue that are published here.
+    With --robot, it combines the datasets of the robot's variants that are in the Minari root. With
+    --with-base, name the collection with --id: the default id stands for the variants alone.
 
-    Examples: `imujoco combine --robot hopper`, `imujoco combine ID ID --id imujoco/hopper-mine-v0`
+    Examples: `imujoco combine --robot hopper`,
+    `imujoco combine --robot hopper --category mass --tier random`,
+    `imujoco combine imujoco/hopper-base-v0 imujoco/hopper-massdec_25_leggeom-v0 --id imujoco/hopper-mine-v0`
     """
-    from imujoco_minari.publishing.combiner import collection_id, combine_datasets, published_ids
+    from imujoco_minari.publishing.combiner import collection_id, combine_datasets
 
-    if ids and (robot or category):
-        raise VariantError("give dataset ids or --robot, not both")
-    if ids:
-        if new_id is None:
+    sources = select_datasets(
+        ids, Filters(robot, category, with_base=with_base), [tier] if tier != EXPERT else None
+    )
+    if new_id is None:
+        if ids or robot is None or with_base:
             raise VariantError("name the collection with --id, as in imujoco/hopper-mine-v0")
-        sources = ids
-    else:
-        if robot is None:
-            raise VariantError("give dataset ids and --id, or --robot")
-        sources = published_ids(robot, category, tier)
-        new_id = new_id or collection_id(robot, category, tier)
-        if not sources:
-            raise DatasetNotFoundError(
-                f"no {tier} dataset of {robot} is published here: "
-                f"`imujoco publish --robot {robot}` makes them"
-            )
+        new_id = collection_id(robot, category, tier)
     dataset = combine_datasets(sources, new_id, link=link, force=force)
-    summary = {
-        "dataset_id": new_id,
-        "path": str(dataset.storage.data_path.parent),
-        "combined_datasets": sources,
-        "episodes": dataset.total_episodes,
-        "steps": dataset.total_steps,
-        "linked": link,
-    }
+    path = dataset.storage.data_path.parent
     if as_json:
-        print_json(summary)
+        summary = {"dataset_id": new_id, "path": path, "combined_datasets": sources, "linked": link}
+        print_json(summary | {"episodes": dataset.total_episodes, "steps": dataset.total_steps})
         return
     out.print(
-        f"combined {len(sources)} datasets into {new_id}: {summary['episodes']} episodes, "
-        f"{summary['steps']} steps{', linked' if link else ''}\n  at {summary['path']}"
+        f"combined {counted(len(sources), 'dataset')} into {new_id}: "
+        f"{counted(int(dataset.total_episodes), 'episode')}, {counted(int(dataset.total_steps), 'step')}"
+        + (", linked" if link else ""),
+        f"  at {path}",
     )
 
 
 @app.command("verify")
 def verify_datasets(
-    ids: Annotated[list[str], typer.Argument(help="Dataset ids.")],
+    ids: MaybeDatasetIds = None,
+    robot: Robot = None,
+    category: Category = None,
+    everything: Everything = False,
+    with_base: WithBase = False,
+    tiers: Tiers = None,
     replay: Annotated[bool, typer.Option(help="Replay every episode from its seed and actions.")] = True,
     jobs: Jobs = 1,
     backend: Backend = None,
     as_json: AsJson = False,
 ) -> None:
-    """Check datasets: structure, attributes, digests, and the replay of every episode, bit for bit.
+    """Check datasets for damage, and replay every episode.
 
-    Exits with 1 when anything is wrong.
+    It checks structure, attributes and digests, and that every replayed value is equal, bit for bit. With
+    filters, it checks the datasets of the chosen variants that are in the Minari root. It exits with 1
+    when a dataset has a finding.
 
-    Example: `imujoco verify imujoco/hopper-massdec_25_leggeom-v0`
+    Examples: `imujoco verify imujoco/hopper-massdec_25_leggeom-v0`,
+    `imujoco verify --robot hopper --tier random --jobs 2`
     """
     from imujoco_minari.verification import verify
 
-    results = {}
-    for dataset_id in ids:
-        with progress(dataset_id, _episodes(dataset_id), quiet=as_json or not replay) as advance:
-            results[dataset_id] = verify(
-                dataset_id, replay=replay, jobs=jobs, backend=backend, on_episode=advance
-            )
+    chosen = select_datasets(ids, Filters(robot, category, everything, with_base), tiers)
+    results: dict[str, list[Finding]] = {}
+    errors: list[ImujocoError] = []
+    for dataset_id in chosen:
+        try:
+            with progress(dataset_id, _episodes(dataset_id), quiet=as_json or not replay) as advance:
+                results[dataset_id] = verify(
+                    dataset_id, replay=replay, jobs=jobs, backend=backend, on_episode=advance
+                )
+        except ImujocoError as error:
+            errors.append(error)
+            continue
+        if not as_json:
+            _print_findings(dataset_id, results[dataset_id])
     if as_json:
-        print_json(
-            {dataset_id: [vars(finding) for finding in findings] for dataset_id, findings in results.items()}
-        )
-    else:
-        for dataset_id, findings in results.items():
-            # An imported dataset has no seeds, and what cannot be replayed is sound in less.
-            imported = _stated(dataset_id).get("replayable") is False
-            sound = "sound, but for a replay: it was imported without seeds" if imported else "sound"
-            out.print(f"{dataset_id}: " + (f"{len(findings)} findings" if findings else sound))
-            if findings:
-                print_table(("where", "what"), [[finding.where, finding.what] for finding in findings])
+        document: dict[str, Any] = {
+            dataset_id: [vars(finding) for finding in findings] for dataset_id, findings in results.items()
+        }
+        print_json(document | ({"error": "; ".join(map(str, errors))} if errors else {}))
+    for message in map(str, errors):
+        fail(message)
+    if len(chosen) > 1:
+        sound = sum(not findings for findings in results.values())
+        say(f"{sound} sound, {len(results) - sound} with findings, {len(errors)} not checked")
     if any(results.values()):
         raise typer.Exit(1)
+    if errors:
+        raise typer.Exit(exit_code([isinstance(each, NotFoundError) for each in errors]))
+
+
+def _print_findings(dataset_id: str, findings: list[Finding]) -> None:
+    if findings:
+        out.print(f"{dataset_id}: {counted(len(findings), 'finding')}")
+        print_table(("where", "what"), [[finding.where, finding.what] for finding in findings])
+        return
+    # An imported dataset has no seeds, so its check covers less.
+    imported = _stated(dataset_id).get("replayable") is False
+    out.print(
+        f"{dataset_id}: sound" + (", but not replayed: it was imported without seeds" if imported else "")
+    )
 
 
 def _episodes(dataset_id: str) -> int:
-    """Return how many episodes a dataset states that it has, for the progress bar alone."""
+    """Return how many episodes a dataset states that it has; used for the progress bar only."""
     episodes = _stated(dataset_id).get("total_episodes")
     return episodes if isinstance(episodes, int) else 0
 
 
 def _stated(dataset_id: str) -> dict[str, Any]:
-    """Return what a dataset's metadata state; empty where they cannot be read."""
+    """Return a dataset's metadata; empty when they cannot be read."""
     from imujoco_minari.storage import minari_root
     from imujoco_minari.storage.metadata import read_metadata
 
     return read_metadata(minari_root.dataset_folder(dataset_id) / "data")
+
+
+@app.command("delete")
+def delete_datasets(
+    ids: MaybeDatasetIds = None,
+    robot: Robot = None,
+    category: Category = None,
+    everything: Everything = False,
+    with_base: WithBase = False,
+    tiers: Tiers = None,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Delete datasets that a linked collection refers to.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Delete datasets from the Minari root.
+
+    It lists the datasets and asks first. A dataset whose episodes a linked collection refers to is kept,
+    unless that collection is deleted too. A folder that holds other files beside a dataset is kept.
+
+    Examples: `imujoco delete imujoco/hopper-massdec_25_leggeom-v0`,
+    `imujoco delete --robot hopper --tier random`,
+    `imujoco delete --all --with-base --yes`
+    """
+    from imujoco_minari.publishing.removal import delete
+    from imujoco_minari.storage import minari_root
+
+    chosen = select_datasets(ids, Filters(robot, category, everything, with_base), tiers)
+    if not yes:
+        here = [dataset_id for dataset_id in chosen if minari_root.exists(dataset_id)]
+        if here:
+            _ask(here)
+    gather(delete(chosen, force=force), _describe_deleted, as_json=as_json)
+
+
+def _ask(ids: list[str]) -> None:
+    """Ask whether to delete datasets.
+
+    Raises:
+        typer.Abort: when the answer is no.
+        VariantError: when nobody can answer.
+    """
+    from imujoco_minari.storage import minari_root
+
+    if not sys.stdin.isatty():
+        raise VariantError(f"deleting {counted(len(ids), 'dataset')} needs an answer: give --yes in a script")
+    for dataset_id in ids:
+        say(f"  {dataset_id}")
+    root = printable(minari_root.datasets_root())
+    typer.confirm(f"Delete {counted(len(ids), 'dataset')} from {root}?", abort=True, err=True)
+
+
+def _describe_deleted(outcome: Deleted) -> tuple[str, ...]:
+    return "deleted", f"{outcome.dataset_id}: {size_text(outcome.bytes)}"

@@ -7,30 +7,31 @@ from typing import Annotated
 
 import typer
 
-from imujoco_minari.cli.app import AsJson, app, out, print_json
-
-Ids = Annotated[list[str], typer.Argument(help="Dataset ids.")]
-Output = Annotated[Path | None, typer.Option("--output", "-o", help="The file or folder to make.")]
-Force = Annotated[bool, typer.Option("--force", help="Replace an earlier export, and nothing else.")]
-Seed = Annotated[int, typer.Option("--seed", "-s", min=0, help="Seed of what is drawn.")]
+from imujoco_minari.cli.app import app, counted, out, print_json
+from imujoco_minari.cli.options import AsJson, DatasetIds, Force, Output, Seed
 
 
 @app.command("export")
 def export_datasets(
-    ids: Ids,
-    format: Annotated[str, typer.Option("--format", "-f", help="d4rl, di-engine, rlds, lerobot or npz.")],
+    ids: DatasetIds,
+    format: Annotated[
+        str, typer.Option("--format", "-f", metavar="FORMAT", help="d4rl, di-engine, rlds, lerobot or npz.")
+    ],
     output: Output = None,
     states_only: Annotated[
-        bool, typer.Option("--states-only", help="Leave actions and rewards out.")
+        bool, typer.Option("--states-only", help="Leave out actions and rewards.")
     ] = False,
     portion: Annotated[
-        tuple[float, float], typer.Option(help="Share of each variant's episodes, from and to.")
+        tuple[float, float],
+        typer.Option(metavar="FROM TO", help="Share of each variant's episodes: from and to."),
     ] = (0.0, 1.0),
     seed: Seed = 0,
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
-    """Write datasets as a file or folder that another library reads.
+    """Write datasets in the format of another library.
+
+    The new file or folder is named after the first dataset unless --output names it.
 
     Examples: `imujoco export imujoco/hopper-base-v0 --format d4rl`,
     `imujoco export imujoco/hopper-all-v0 --format rlds --portion 0 0.75 -o train`
@@ -46,25 +47,30 @@ def export_datasets(
         print_json(vars(exported))
         return
     out.print(
-        f"exported {exported.episodes} episodes, {exported.steps} steps, as {exported.format}\n"
-        f"  at {exported.path.resolve()}"
+        f"exported {counted(exported.episodes, 'episode')}, {counted(exported.steps, 'step')}, "
+        f"as {exported.format}",
+        f"  at {exported.path.resolve()}",
     )
 
 
 @app.command()
 def preferences(
-    ids: Ids,
+    ids: DatasetIds,
     output: Output = None,
-    pairs: Annotated[int, typer.Option("--pairs", "-n", min=1, help="How many pairs.")] = 1000,
-    length: Annotated[int, typer.Option("--length", "-l", min=1, help="Steps of a stretch.")] = 50,
+    pairs: Annotated[int, typer.Option("--pairs", "-n", min=1, metavar="N", help="Number of pairs.")] = 1000,
+    length: Annotated[
+        int, typer.Option("--length", "-l", min=1, metavar="N", help="Steps of a segment.")
+    ] = 50,
     tiers: Annotated[
-        str | None, typer.Option(help="Tiers from best to worst, as expert,medium,random.")
+        str | None, typer.Option(metavar="TIERS", help="Tiers from best to worst, as expert,medium,random.")
     ] = None,
     seed: Seed = 0,
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
-    """Write pairs of stretches, and which of them is preferred: by return, or by tier.
+    """Write pairs of segments, labelled with the better one.
+
+    The better segment is the one of higher return, or of the better tier with --tiers.
 
     Example: `imujoco preferences imujoco/hopper-base-v0 imujoco/hopper-base-random-v0 --tiers expert,random`
     """
@@ -77,4 +83,4 @@ def preferences(
     if as_json:
         print_json({"path": target, "pairs": pairs, "length": length, "tiers": ranked, "seed": seed})
         return
-    out.print(f"wrote {pairs} pairs of {length} steps\n  at {target.resolve()}")
+    out.print(f"wrote {counted(pairs, 'pair')} of {length} steps", f"  at {target.resolve()}")

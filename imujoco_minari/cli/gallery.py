@@ -8,48 +8,55 @@ from typing import Annotated
 
 import typer
 
-from imujoco_minari.cli.app import AsJson, Category, Robot, app, fail, out, print_json, progress
-from imujoco_minari.cli.datasets import select
+from imujoco_minari.cli.app import FAILED, app, fail, out, print_json, progress, say
+from imujoco_minari.cli.estimates import gallery_line, size_text
+from imujoco_minari.cli.options import AsJson, Category, Robot, VariantIds
+from imujoco_minari.cli.selection import Filters, select
 
 
 @app.command()
 def gallery(
-    folder: Annotated[Path, typer.Argument(metavar="OUT", help="Folder of the site.")],
-    variants: Annotated[list[str] | None, typer.Argument(help="Variant ids; all 154 without any.")] = None,
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of the site.")],
+    variants: VariantIds = None,
     robot: Robot = None,
     category: Category = None,
     as_json: AsJson = False,
 ) -> None:
-    """Build a static website of the variants, with clips, numbers, returns and code.
+    """Build a static website of the variants.
 
-    Works from a folder and from any web host. A folder that has a gallery keeps what it has: only
-    what is new or has changed is drawn, so a run that was broken off goes on.
+    It shows clips, numbers, returns and code. Without ids and filters, it shows the whole catalogue. The
+    base robots are always shown too, for comparison. The site works from a folder and from any web host. A
+    second run in the same folder draws only what is new or has changed, so an interrupted run can be
+    continued.
 
     Examples: `imujoco gallery site`, `imujoco gallery site --robot hopper --category length`
     """
     from imujoco_minari.pictures.gallery.builder import build, steps
 
     start = time.monotonic()
-    chosen = select(variants or [], robot, category, everything=not (robot or category))
-    with progress("drawing", steps(folder, chosen), quiet=as_json) as advance:
+    chosen = select(variants, Filters(robot, category, everything=not (variants or robot or category)))
+    count = steps(folder, chosen)
+    if not as_json and len(chosen) > 1:
+        say(gallery_line(count))
+    with progress("drawing", count, quiet=as_json) as advance:
         built = build(folder, chosen, on_variant=advance)
-    files = [path for path in folder.rglob("*") if path.is_file()]
-    told = {
+    size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+    result = {
         "index": str(folder / "index.html"),
         "variants": built.variants,
         "drawn": built.drawn,
         "failed": built.failed,
-        "bytes": sum(path.stat().st_size for path in files),
+        "bytes": size,
         "seconds": time.monotonic() - start,
     }
     if as_json:
-        print_json(told)
+        print_json(result)
     else:
         out.print(
-            f"wrote {told['index']}: {built.variants} variants and bases, {built.drawn} drawn anew, "
-            f"{sum(path.stat().st_size for path in files) / 1e6:.1f} MB, in {time.monotonic() - start:.0f} s"
+            f"wrote {result['index']}: {built.variants} variants and bases, {built.drawn} drawn anew, "
+            f"{size_text(size)}, in {result['seconds']:.0f} s"
         )
     for variant, reason in built.failed.items():
         fail(f"{variant}: {reason}")
     if built.failed:
-        raise typer.Exit(1)
+        raise typer.Exit(FAILED)

@@ -7,18 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from imujoco_minari.cli.app import (
-    AsJson,
-    Category,
-    Robot,
-    app,
-    out,
-    print_json,
-    print_table,
-    progress,
-    say,
-)
-from imujoco_minari.cli.datasets import finish, report
+from imujoco_minari.cli.app import FAILED, app, counted, gather, out, print_json, print_table, progress, say
+from imujoco_minari.cli.datasets import describe_published
+from imujoco_minari.cli.options import AsJson, Category, Columns, Episodes, Force, Robot, Seed, VariantIds
 from imujoco_minari.errors import DatasetNotFoundError, VariantError, suggestion
 from imujoco_minari.variants import Variant
 
@@ -28,32 +19,28 @@ if TYPE_CHECKING:
     from imujoco_minari.importing.catalogue_diff import Departure
     from imujoco_minari.variants.original import OriginalVariant
 
-Columns = Annotated[
-    str | None,
-    typer.Option("--columns", help="What the table's columns are, as in observation,action,reward,done."),
-]
-Force = Annotated[bool, typer.Option("--force", help="Replace what has the id.")]
-
 
 @app.command("import-archive")
 def import_archive_command(
     place: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with xml, policies and dataset.")],
-    variants: Annotated[list[str] | None, typer.Argument(help="Variant ids; all by default.")] = None,
+    variants: VariantIds = None,
     robot: Robot = None,
     category: Category = None,
     recollect: Annotated[
-        bool, typer.Option("--recollect", help="Roll the archive's policies out anew, in its models.")
+        bool, typer.Option("--recollect", help="Roll out the archive's policies in its models.")
     ] = False,
-    episodes: Annotated[int, typer.Option("--episodes", "-n", min=1, help="Episodes to recollect.")] = 100,
-    seed: Annotated[int, typer.Option("--seed", "-s", min=0, help="Base seed to recollect with.")] = 0,
+    episodes: Episodes = 100,
+    seed: Seed = 0,
     columns: Columns = None,
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
-    """Publish the original's archive as imujoco-original/<variant>-v0.
+    """Publish the original's archive.
 
-    DIR holds the folders xml, policies and dataset, or their zips. What each column is, is detected and
-    checked; --columns says it. With --recollect, the tier is `recollected`.
+    The dataset ids are imujoco-original/<variant>-v0. DIR holds the folders xml, policies and dataset, or
+    their zips. Without ids and filters, it publishes the whole archive. The columns of the tables are
+    detected and checked; --columns states them instead. With --recollect, the archive's policies make
+    --episodes new episodes, as the tier recollected.
 
     Examples: `imujoco import-archive imujoco/`,
     `imujoco import-archive imujoco/ hopper-massdec_25_leggeom --recollect`
@@ -64,27 +51,25 @@ def import_archive_command(
     archive = open_archive(place)
     chosen = _chosen(archive, variants or [], robot, category)
     how = Import(columns, recollect, episodes, seed, force)
-    outcomes = []
-    with progress("importing", len(chosen), quiet=as_json) as advance:
-        for outcome in import_archive(archive, chosen, how, advance):
-            outcomes.append(outcome)
-            report(outcome, as_json)
     _say_ignored(archive)
-    finish(outcomes, as_json)
+    with progress("importing", len(chosen), quiet=as_json) as advance:
+        gather(import_archive(archive, chosen, how, advance), describe_published, as_json=as_json)
 
 
 @app.command("diff-catalogue")
 def diff_catalogue(
     place: Annotated[
-        Path | None, typer.Argument(metavar="[DIR]", help="The archive; by default what is imported here.")
+        Path | None,
+        typer.Argument(metavar="DIR", help="The archive; by default, the datasets imported from it."),
     ] = None,
     robot: Robot = None,
     category: Category = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show where the original's models depart from ours, in physical quantities.
+    """Compare the original's models with ours.
 
-    A variant whose id our grammar does not have is compared with the base robot.
+    It shows the physical quantities that differ. A variant that our catalogue does not have is compared
+    with the base robot.
 
     Examples: `imujoco diff-catalogue imujoco/`, `imujoco diff-catalogue --robot hopper`
     """
@@ -122,19 +107,23 @@ def diff_catalogue(
             f"original's, {len(shared.only_ours)} only in ours"
         )
     if any(departure.error for departure in departures):
-        raise typer.Exit(1)
+        raise typer.Exit(FAILED)
 
 
 @app.command("import")
 def import_command(
-    source: Annotated[str, typer.Argument(help="A Minari id or folder, a D4RL HDF5 file, or an .npz.")],
-    variant: Annotated[str, typer.Option("--variant", help="The variant whose data they are.")],
-    tier: Annotated[str, typer.Option("--tier", "-t", help="The tier they become.")],
+    source: Annotated[
+        str, typer.Argument(metavar="SOURCE", help="A Minari id or folder, a D4RL HDF5 file, or an .npz.")
+    ],
+    variant: Annotated[
+        str, typer.Option("--variant", metavar="VARIANT", help="The variant that the data are of.")
+    ],
+    tier: Annotated[str, typer.Option("--tier", "-t", metavar="TIER", help="The tier to publish them as.")],
     columns: Columns = None,
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
-    """Publish others' data of one of the robots as a tier of a variant.
+    """Publish external data as a tier of a variant.
 
     Examples: `imujoco import mujoco/hopper/expert-v0 --variant hopper-base --tier farama`,
     `imujoco import hopper_medium-v2.hdf5 --variant hopper-base --tier d4rl-medium`
@@ -146,7 +135,8 @@ def import_command(
     if as_json:
         print_json(vars(imported.published) | {"one_step_difference": near.asdict(), "notes": imported.notes})
         return
-    report(imported.published, quiet=False)
+    verb, line, *details = describe_published(imported.published)
+    out.print(f"{verb} {line}", *details)
     if not imported.published.created:
         return
     for note in imported.notes:
@@ -183,7 +173,7 @@ def _fits(variant: Variant, robot: str | None, category: str | None) -> bool:
 def _say_ignored(archive: Archive) -> None:
     if archive.ignored:
         shown = ", ".join(archive.ignored[:5])
-        say(f"{len(archive.ignored)} files of the archive name no variant and were left out: {shown}")
+        say(f"left out {counted(len(archive.ignored), 'file')} not named after a variant: {shown}")
 
 
 def _print_departures(departures: list[Departure]) -> None:
@@ -191,7 +181,7 @@ def _print_departures(departures: list[Departure]) -> None:
 
     common = common_differences(departures)
     for robot, shared in common.items():
-        out.print(f"[bold]{robot}[/], in most variants")
+        out.print(f"{robot}, in most variants", style="bold")
         _print_differences(list(shared))
     for departure in departures:
         shared = common.get(departure.variant.partition("-")[0], {})
@@ -200,7 +190,7 @@ def _print_departures(departures: list[Departure]) -> None:
             say(f"{departure.variant}: {departure.error}")
         elif own or not departure.same_id:
             against = "" if departure.same_id else f", which our catalogue lacks, against {departure.against}"
-            out.print(f"[bold]{departure.variant}[/]{against}")
+            out.print(f"{departure.variant}{against}", style="bold")
             _print_differences(own)
     same = sum(not departure.differences and not departure.error for departure in departures)
     failed = sum(bool(departure.error) for departure in departures)

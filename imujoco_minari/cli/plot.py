@@ -7,25 +7,29 @@ from typing import Annotated
 
 import typer
 
-from imujoco_minari.cli.app import AsJson, Category, Robot, app, out, print_json, progress, say
+from imujoco_minari.cli.app import app, counted, out, print_json, progress, say
+from imujoco_minari.cli.options import AsJson, Category, DatasetIds, Episodes, Jobs, Output, Robot, Seed
+from imujoco_minari.cli.selection import counted_variants
 from imujoco_minari.errors import VariantError
 
 
 @app.command()
 def plot(
-    ids: Annotated[list[str], typer.Argument(metavar="ID...", help="Dataset ids, of one robot.")],
-    folder: Annotated[Path, typer.Option("--out", "-o", help="Folder of the figures.")] = Path("plots"),
+    ids: DatasetIds,
+    output: Output = None,
     as_json: AsJson = False,
 ) -> None:
-    """Plot returns, episode lengths, actions and observations of datasets against the base robot's.
+    """Plot datasets against the base robot's.
 
-    The base robot's dataset of the same tier is drawn in grey, if it is published here.
-    Each figure is written as PNG and as SVG.
+    It plots returns, episode lengths, actions and observations. The datasets are of one robot. The base
+    robot's dataset of the same tier is drawn in grey, if it is in the Minari root. Each figure is written
+    as PNG and as SVG, into the folder `plots` unless --output names another.
 
-    Example: `imujoco plot imujoco/hopper-massdec_25_leggeom-v0 --out plots`
+    Example: `imujoco plot imujoco/hopper-massdec_25_leggeom-v0 --output figures`
     """
     from imujoco_minari.pictures.plotting.datasets import QUESTIONS, load_series, plot_datasets, with_bases
 
+    folder = output or Path("plots")
     names = list(dict.fromkeys(ids))
     with progress("plotting", len(names) + len(QUESTIONS), quiet=as_json) as advance:
         series = []
@@ -35,11 +39,11 @@ def plot(
         drawn, missing = with_bases(series)
         files = plot_datasets(drawn, folder, on_figure=advance)
     for name in missing:
-        say(f"without the base robot: {name} is not published here")
+        say(f"the base robot is not drawn: {name} is not in the Minari root")
     if as_json:
         print_json({"files": [str(file) for file in files], "missing": missing})
         return
-    out.print(f"wrote {len(files)} files to {folder}: " + ", ".join(file.name for file in files))
+    out.print(f"wrote {counted(len(files), 'file')} to {folder}: " + ", ".join(file.name for file in files))
 
 
 @app.command()
@@ -47,20 +51,24 @@ def transfer(
     robot: Robot = None,
     category: Category = None,
     policies: Annotated[
-        list[Path] | None, typer.Option("--policy", help="A .zip or .safetensors; may be repeated.")
+        list[Path] | None,
+        typer.Option("--policy", metavar="FILE", help="A .zip or .safetensors; may be repeated."),
     ] = None,
-    episodes: Annotated[int, typer.Option("--episodes", "-n", min=1, help="Episodes a cell.")] = 5,
-    seed: Annotated[int, typer.Option("--seed", "-s", min=0, help="Base seed of the episodes.")] = 0,
-    jobs: Annotated[int, typer.Option("--jobs", "-j", min=1, help="How many processes.")] = 1,
-    folder: Annotated[Path | None, typer.Option("--out", "-o", help="Folder of the results.")] = None,
+    episodes: Episodes = 5,
+    seed: Seed = 0,
+    jobs: Jobs = 1,
+    output: Output = None,
     as_json: AsJson = False,
 ) -> None:
-    """Evaluate every expert of a robot on every variant of it, and draw the matrix.
+    """Evaluate every expert of a robot on every variant.
 
-    Writes the heat map (PNG, SVG) and the numbers (CSV). A run that was broken off goes on.
-    With --policy, the given policies are evaluated instead of the experts.
+    The base robot is one of the variants here. It writes a heat map (PNG, SVG) and the numbers (CSV), into
+    the folder `transfer-<robot>` unless --output names another. An interrupted run continues where it
+    stopped. --episodes is the number for each policy and variant. With --policy, the given policies are
+    evaluated instead of the experts.
 
-    Example: `imujoco transfer --robot hopper --category mass --jobs 2`
+    Examples: `imujoco transfer --robot hopper --category mass --jobs 2`,
+    `imujoco transfer --robot hopper --policy sac.zip --episodes 20`
     """
     from imujoco_minari.pictures.plotting.style import new_figure
     from imujoco_minari.pictures.plotting.transfer import plot_transfer
@@ -73,9 +81,9 @@ def transfer(
     chosen = (
         {path.stem: read_actor(path) for path in policies} if policies else expert_policies(robot, category)
     )
-    # A missing matplotlib is told before the work, not after.
+    # Report a missing matplotlib before the work, not after it.
     new_figure(1.0, 1.0, "")
-    target = folder or Path(f"transfer-{robot}")
+    target = output or Path(f"transfer-{robot}")
     with progress("evaluating", len(chosen) * len(variants), quiet=as_json) as advance:
         result = evaluate_transfer(
             chosen,
@@ -99,7 +107,7 @@ def transfer(
         )
         return
     out.print(
-        f"{len(result.policies)} policies on {len(result.variants)} variants, {episodes} episodes each\n"
-        + "wrote "
-        + ", ".join(str(file) for file in files)
+        f"{counted(len(result.policies), 'policy')} on {counted_variants(result.variants)}, "
+        f"{counted(episodes, 'episode')} each",
+        f"wrote {', '.join(str(file) for file in files)}",
     )

@@ -7,44 +7,53 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from imujoco_minari.cli.app import AsJson, app, out, print_json, progress, say
+from imujoco_minari.cli.app import app, counted, out, print_json, progress, say
+from imujoco_minari.cli.options import AsJson, Force, Output, Policy
 from imujoco_minari.errors import RenderingError, StorageError
 from imujoco_minari.variants import EXPERT, Variant
 
 if TYPE_CHECKING:
     from imujoco_minari.pictures.rendering import Motion
 
-Seconds = Annotated[float | None, typer.Option("--seconds", min=0.1, help="Show this much, not all.")]
+Seconds = Annotated[
+    float | None,
+    typer.Option("--seconds", min=0.1, metavar="X", help="Show this much of the episode instead of all."),
+]
 
 
 @app.command()
 def render(
-    what: Annotated[str, typer.Argument(metavar="VARIANT|DATASET_ID", help="A variant id, or a dataset id.")],
+    what: Annotated[str, typer.Argument(metavar="VARIANT|ID", help="A variant id, or a dataset id.")],
     episode: Annotated[
         int,
-        typer.Option("--episode", "-e", min=0, help="Which episode of a dataset; of a variant, its seed."),
+        typer.Option(
+            "--episode", "-e", min=0, metavar="N", help="The episode of a dataset; the seed of a variant."
+        ),
     ] = 0,
-    target: Annotated[Path | None, typer.Option("--out", "-o", help="A .mp4, .gif or .png file.")] = None,
+    target: Output = None,
     beside_base: Annotated[
-        bool, typer.Option("--beside-base", help="Show the base robot beside it.")
+        bool, typer.Option("--beside-base", help="Show the base robot beside the variant.")
     ] = False,
     sheet: Annotated[bool, typer.Option("--sheet", help="Make a .png sheet of frames.")] = False,
-    tier: Annotated[str, typer.Option("--tier", "-t", help="Which policy moves a variant.")] = EXPERT,
-    policy: Annotated[
-        Path | None, typer.Option("--policy", help="A Stable-Baselines3 .zip or .safetensors.")
-    ] = None,
+    tier: Annotated[
+        str, typer.Option("--tier", "-t", metavar="TIER", help="The policy that moves a variant.")
+    ] = EXPERT,
+    policy: Policy = None,
     seconds: Seconds = None,
-    size: Annotated[str, typer.Option("--size", help="Pixels of a robot's picture.")] = "640x480",
-    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+    size: Annotated[
+        str, typer.Option("--size", metavar="WxH", help="Width and height in pixels.")
+    ] = "640x480",
+    force: Force = False,
     as_json: AsJson = False,
 ) -> None:
-    """Render a variant moved by its policy, or a recorded episode of a dataset, replayed exactly.
+    """Render a variant or a recorded episode.
 
-    Needs no screen. What the variant changes is coloured: mass orange, joint blue, length green,
-    friction purple. A .png without --sheet shows the middle of the episode.
+    A variant is moved by its policy; a recorded episode is replayed exactly. It needs no screen. A colour
+    shows what the variant changes: orange for mass, blue for joint, green for length, purple for friction.
+    --output is a .mp4, .gif or .png file; a .png without --sheet shows the middle of the episode.
 
     Examples: `imujoco render hopper-lengthinc_50_leggeom --beside-base --tier random`,
-    `imujoco render imujoco/hopper-massdec_25_leggeom-v0 --episode 3 --out episode.mp4`
+    `imujoco render imujoco/hopper-massdec_25_leggeom-v0 --episode 3 --output episode.mp4`
     """
     from imujoco_minari.pictures.rendering import frame_steps, render_motions
     from imujoco_minari.pictures.rendering.files import check_format
@@ -54,7 +63,7 @@ def render(
         name = what.rpartition("/")[2] + ("" if "/" not in what else f"-episode{episode}")
         target = Path(f"{name}.{'png' if sheet else 'mp4'}")
     if check_format(target) != ".png" and sheet:
-        raise RenderingError(f"a sheet is one picture: give --out a .png, not {str(target)!r}")
+        raise RenderingError(f"a sheet is one picture: give --output a .png, not {str(target)!r}")
     if target.exists() and not force:
         raise StorageError(f"{target} is already there; it was left alone (--force replaces it)")
     motions = _motions(what, episode, tier, policy, beside_base, seconds)
@@ -76,7 +85,7 @@ def render(
             f"{motion.variant}: {motion.title}, {facts['steps']} steps, {motion.duration:.1f} s, "
             f"return {motion.total:.1f}"
         )
-    out.print(f"wrote {target}: {count} frames, {target.stat().st_size / 1000:.0f} kB")
+    out.print(f"wrote {target}: {counted(count, 'frame')}, {target.stat().st_size / 1000:.0f} kB")
 
 
 def _motions(

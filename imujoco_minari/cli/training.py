@@ -2,124 +2,142 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from imujoco_minari.cli.app import (
+from imujoco_minari.cli.app import app, counted, gather, out, print_json, print_table, progress, say
+from imujoco_minari.cli.datasets import describe_published
+from imujoco_minari.cli.estimates import training_line
+from imujoco_minari.cli.options import (
     AsJson,
+    Backend,
     Category,
+    Everything,
+    Force,
+    Jobs,
+    Output,
     Robot,
-    app,
-    fail,
-    out,
-    print_json,
-    print_table,
-    progress,
-    say,
+    Seed,
+    VariantId,
+    VariantIds,
+    WithBase,
 )
-from imujoco_minari.cli.datasets import Backend, Jobs, report, select
+from imujoco_minari.cli.selection import Filters, select
 from imujoco_minari.policies import expert_record, expert_variants, policies_folder
 from imujoco_minari.policies.standing import COLUMNS, share_of_base, standings
 from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS, Variant
 
 if TYPE_CHECKING:
+    from imujoco_minari.publishing.publisher import Published
     from imujoco_minari.training.hyperparameters import Hyperparameters
     from imujoco_minari.training.run import OnInterval, Progress
     from imujoco_minari.training.sweep import Plan, Trained
 
-policy = typer.Typer(help="Take a policy elsewhere.", no_args_is_help=True)
+policy = typer.Typer(help="Use a policy in other libraries.")
 app.add_typer(policy, name="policy")
 
 
 @app.command("train")
 def train_variants(
-    variants: Annotated[
-        list[str] | None, typer.Argument(help="Variant ids, of the catalogue or not.")
-    ] = None,
+    variants: VariantIds = None,
     robot: Robot = None,
     category: Category = None,
-    everything: Annotated[bool, typer.Option("--all", help="The three bases and all 154 variants.")] = False,
+    everything: Everything = False,
+    with_base: WithBase = False,
     scratch: Annotated[
         bool, typer.Option("--scratch", help="Do not start from the base robot's agent.")
     ] = False,
     max_steps: Annotated[
-        int | None, typer.Option("--max-steps", min=1, help="Environment steps at most.")
+        int | None, typer.Option("--max-steps", min=1, metavar="N", help="Environment steps at most.")
     ] = None,
-    target: Annotated[float | None, typer.Option("--target", help="Return to stop at.")] = None,
-    seed: Annotated[int, typer.Option("--seed", "-s", min=0, help="Seed of all that is random.")] = 0,
+    target: Annotated[float | None, typer.Option("--target", metavar="X", help="Return to stop at.")] = None,
+    seed: Seed = 0,
     jobs: Jobs = 1,
     backend: Backend = None,
-    nice: Annotated[int, typer.Option("--nice", min=0, max=19, help="Lower the priority by this much.")] = 0,
+    nice: Annotated[
+        int, typer.Option("--nice", min=0, max=19, metavar="N", help="Lower the priority by this much.")
+    ] = 0,
     device: Annotated[
         str | None,
-        typer.Option("--device", help="Where to compute updates: cpu or gpu; the best there is."),
+        typer.Option(
+            "--device",
+            metavar="NAME",
+            help="Where to compute updates: cpu or gpu; by default, the faster one.",
+        ),
     ] = None,
-    state: Annotated[Path | None, typer.Option("--state", help="Folder of unfinished runs.")] = None,
-    output: Annotated[Path | None, typer.Option("--output", help="Folder for finished policies.")] = None,
+    state: Annotated[
+        Path | None, typer.Option("--state", metavar="FOLDER", help="Folder of unfinished runs.")
+    ] = None,
+    output: Output = None,
     improve: Annotated[
-        bool, typer.Option("--improve", help="Train finished policies on, and keep what is better.")
+        bool, typer.Option("--improve", help="Train finished policies further, and keep the better ones.")
     ] = False,
     record_replay: Annotated[
         bool, typer.Option("--record-replay", help="Publish the run's transitions as the tier replay.")
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Train an expert for each variant, from its base robot's agent; bases from scratch.
+    """Train an expert for each variant.
 
-    A killed run goes on where it was, a finished one is never trained again, and a variant that fails
-    is named at the end.
+    A variant starts from its base robot's agent, and a base robot from scratch. The variants need not be in
+    the catalogue. A killed run continues where it stopped, and a finished one is never trained again. The
+    command goes on after a failure and names the failures at the end. Policies are written to your own
+    policies folder, or to the folder --output.
 
-    Examples: `imujoco train hopper-massinc_37_torsogeom`, `imujoco train --robot hopper --jobs 2 --nice 10`
+    Examples: `imujoco train hopper-massinc_37_torsogeom`,
+    `imujoco train --robot hopper --jobs 2 --nice 10`,
+    `imujoco train hopper-base --record-replay`
     """
-    import os
+    from imujoco_minari.training.sweep import Plan, default_state
 
-    from imujoco_minari.training.sweep import Plan, default_state, train_all
-
-    chosen = select(variants or [], robot, category, everything)
+    chosen = select(variants, Filters(robot, category, everything, with_base))
     changes: dict[str, Any] = {} if max_steps is None else {"max_steps": max_steps}
     plan = Plan(state or default_state(), output, scratch, seed, target, changes, nice, improve, device)
+    if len(chosen) > 1 and not as_json:
+        say(training_line(chosen, output, jobs, improve=improve or record_replay))
     if record_replay:
         os.nice(nice)
-        _record(chosen, plan, as_json)
+        gather(_recorded(chosen, plan, as_json), describe_published, as_json=as_json)
         return
-    if len(chosen) == 1 and backend is None:
-        os.nice(nice)
-        outcomes = [_train_one(chosen[0], plan, as_json)]
-    else:
-        outcomes = []
-        with progress("training", len(chosen), quiet=as_json) as advance:
-            for outcome in train_all(chosen, plan, jobs=jobs, backend=backend):
-                outcomes.append(outcome)
-                _report(outcome, plan, as_json)
-                advance()
-    if as_json:
-        print_json([vars(outcome) for outcome in outcomes])
-    failures = [outcome for outcome in outcomes if outcome.error]
-    for outcome in failures:
-        fail(f"{outcome.variant}: {outcome.error}")
-    if failures:
-        raise typer.Exit(1)
+    gather(
+        _trained(chosen, plan, jobs, backend, as_json),
+        partial(describe_trained, plan=plan),
+        as_json=as_json,
+        name="variant",
+    )
 
 
-def _record(chosen: list[Variant], plan: Plan, as_json: bool) -> None:
-    from dataclasses import replace
-
+def _recorded(chosen: list[Variant], plan: Plan, quiet: bool) -> Iterator[Published]:
+    """Publish the transitions of a training run of each variant."""
     from imujoco_minari.publishing.training_data import record_training
     from imujoco_minari.training.sweep import task
 
-    outcomes = []
     for variant in chosen:
-        # All of the run is wanted, not the shortest way to a target.
+        # All of the run is recorded, not only the way to a target.
         whole = replace(task(variant, plan), target=float("inf"))
-        outcomes.append(
-            record_training(whole, plan.state / f"{variant}-replay", on_interval=_teller(as_json))
-        )
-        if not as_json:
-            report(outcomes[-1], quiet=False)
-    if as_json:
-        print_json([vars(outcome) for outcome in outcomes])
+        yield record_training(whole, plan.state / f"{variant}-replay", on_interval=_teller(quiet))
+
+
+def _trained(
+    chosen: list[Variant], plan: Plan, jobs: int, backend: str | None, quiet: bool
+) -> Iterator[Trained]:
+    """Train each variant and yield what became of it."""
+    from imujoco_minari.training.sweep import train, train_all
+
+    if len(chosen) == 1 and backend is None:
+        os.nice(plan.nice)
+        yield train(chosen[0], plan, _teller(quiet))
+        return
+    with progress("training", len(chosen), quiet=quiet) as advance:
+        for outcome in train_all(chosen, plan, jobs=jobs, backend=backend):
+            yield outcome
+            advance()
 
 
 def _teller(quiet: bool) -> OnInterval:
@@ -140,35 +158,26 @@ def _teller(quiet: bool) -> OnInterval:
     return tell
 
 
-def _train_one(variant: Variant, plan: Plan, quiet: bool) -> Trained:
-    from imujoco_minari.training.sweep import train
-
-    outcome = train(variant, plan, _teller(quiet))
-    _report(outcome, plan, quiet)
-    return outcome
-
-
-# An expert that has less than this share of its base's return may have met a dead end.
+# An expert with less than this share of its base's return may have trained badly by chance.
 _WEAK = 0.5
 
 
-def _report(outcome: Trained, plan: Plan, quiet: bool) -> None:
-    if quiet or outcome.error:
-        return
+def describe_trained(outcome: Trained, plan: Plan) -> tuple[str, ...]:
+    """Return what to print of a variant or generalist that was trained, or has an expert already."""
+    variant, made = outcome.variant, _made(outcome.record)
     if outcome.created:
-        out.print(f"trained {outcome.variant}: {_made(outcome.record)}")
+        lines = ["trained", f"{variant}: {made}"]
     elif outcome.tried:
-        out.print(f"kept {outcome.variant}: {_made(outcome.record)}; not as good: {_made(outcome.tried)}")
+        lines = ["kept", f"{variant}: {made}; not as good: {_made(outcome.tried)}"]
     else:
-        out.print(f"left alone {outcome.variant}: its expert is there already")
-    # A generalist is nobody's expert.
-    share = share_of_base(outcome.record, plan.policies) if isinstance(outcome.variant, Variant) else None
+        lines = ["left alone", f"{variant}: it has an expert already"]
+    # A generalist is not the expert of a variant.
+    share = share_of_base(outcome.record, plan.policies) if isinstance(variant, Variant) else None
     if share is not None and share < _WEAK:
         again = "--improve --seed 1" if outcome.record["start"] == "scratch" else "--scratch --improve"
-        out.print(
-            f"  that is {share:.2f} of what the base's expert makes: "
-            f"`imujoco train {outcome.variant} {again}` may find what this run did not"
-        )
+        better = f"`imujoco train {variant} {again}` may do better"
+        lines.append(f"  its return is {share:.2f} of the base expert's: {better}")
+    return tuple(lines)
 
 
 def _made(record: dict[str, Any]) -> str:
@@ -185,19 +194,36 @@ def _made(record: dict[str, Any]) -> str:
 def policies(
     robot: Robot = None,
     category: Category = None,
+    with_base: WithBase = False,
     summary: Annotated[
-        bool, typer.Option("--summary", help="A line a robot and category instead of one a policy.")
+        bool, typer.Option("--summary", help="Print a line for each robot and category instead.")
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Tabulate the expert policies that are there, the user's and the shipped.
+    """List the expert policies and their returns.
 
-    Examples: `imujoco policies --robot hopper`, `imujoco policies --summary`
+    It lists your own policies and the shipped ones. Without filters, it lists every policy, also those of
+    the base robots and of variants that the catalogue does not have.
+
+    Examples: `imujoco policies`, `imujoco policies --robot hopper --with-base`, `imujoco policies --summary`
     """
-    if summary and not as_json:
-        _summarise([robot] if robot else list(ROBOTS), [category] if category else [BASE, *CATEGORIES])
+    filters = Filters(robot, category, with_base=with_base)
+    chosen = filters.variants()
+    if summary:
+        bases = [BASE] if with_base or not filters else []
+        robots = [each for each in ROBOTS if robot in (None, each)]
+        lines = standings(robots, bases + [each for each in CATEGORIES if category in (None, each)])
+        if as_json:
+            print_json([vars(line) for line in lines])
+            return
+        print_table(COLUMNS, [line.cells() for line in lines], numeric=COLUMNS[2:])
+        out.print("", "median and min: return as a share of the base expert's")
         return
-    chosen = [v for v in expert_variants() if robot in (None, v.robot) and category in (None, v.category)]
+    if filters or with_base:
+        experts = set(expert_variants())
+        chosen = [variant for variant in chosen if variant in experts]
+    else:
+        chosen = list(expert_variants())
     records = [dict(expert_record(variant)) for variant in chosen]
     if as_json:
         print_json(records)
@@ -205,18 +231,18 @@ def policies(
     columns = ("variant", "algorithm", "start", "steps", "return", "std", "min", "of base", "length")
     rows = [_row(variant, record) for variant, record in zip(chosen, records, strict=True)]
     print_table(columns, rows, numeric=columns[3:])
-    out.print(f"\n{len(rows)} policies; your own lie in {policies_folder()}")
+    out.print("", f"{counted(len(rows), 'policy')}; your own are in {policies_folder()}")
 
 
 @policy.command()
 def export(
-    variant: Annotated[str, typer.Argument(help="A variant id.")],
-    path: Annotated[Path, typer.Argument(help="The .zip to write.")],
-    force: Annotated[
-        bool, typer.Option("--force", help="Replace an earlier export, and nothing else.")
-    ] = False,
+    variant: VariantId,
+    path: Annotated[Path, typer.Argument(metavar="FILE", help="The .zip to write.")],
+    force: Force = False,
 ) -> None:
-    """Write a variant's expert as a zip that stable_baselines3.SAC.load opens.
+    """Write a variant's expert for Stable-Baselines3.
+
+    The file is a zip that `stable_baselines3.SAC.load` opens.
 
     Example: `imujoco policy export hopper-massdec_25_leggeom expert.zip`
     """
@@ -224,13 +250,6 @@ def export(
 
     written = export_zip(Variant.parse(variant), path, force=force)
     out.print(f"wrote {written}: `stable_baselines3.SAC.load({str(written)!r})` opens it")
-
-
-def _summarise(robots: list[str], categories: list[str]) -> None:
-    """Print, for each robot and category, how the experts compare with their base's, and what they took."""
-    rows = [standing.cells() for standing in standings(robots, categories)]
-    print_table(COLUMNS, rows, numeric=COLUMNS[2:])
-    out.print("\nmedian and min: return as a share of the base expert's")
 
 
 def _row(variant: Variant, record: dict[str, Any]) -> list[str]:

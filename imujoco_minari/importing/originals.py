@@ -14,7 +14,7 @@ from gymnasium.envs.registration import EnvSpec
 from minari.data_collector import EpisodeBuffer
 
 from imujoco_minari.envs import environment_spec
-from imujoco_minari.errors import DatasetError, ImujocoError
+from imujoco_minari.errors import DatasetError, ImujocoError, NotFoundError
 from imujoco_minari.importing.archive import Archive
 from imujoco_minari.importing.columns import ARRAY, Layout, read_table
 from imujoco_minari.importing.physics import Physics
@@ -70,7 +70,7 @@ def import_archive(
         try:
             yield (recollect if how.recollect else import_variant)(archive, variant, how)
         except ImujocoError as error:
-            yield Published(dataset_id, error=str(error))
+            yield Published(dataset_id, error=str(error), missing=isinstance(error, NotFoundError))
         if on_variant is not None:
             on_variant()
 

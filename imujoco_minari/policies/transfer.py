@@ -194,4 +194,4 @@ def _read(state: Path) -> dict[str, dict[str, Any]]:
             return dict(data["cells"])
     except (OSError, ValueError, KeyError, TypeError):
         pass
-    raise TransferError(f"{state} is no state of a transfer: remove it, or name another --out")
+    raise TransferError(f"{state} is no state of a transfer: remove it, or name another --output")

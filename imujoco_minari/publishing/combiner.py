@@ -27,7 +27,7 @@ from imujoco_minari.publishing.sources import Source, check_sources, open_source
 from imujoco_minari.storage import copying, file_format, minari_root
 from imujoco_minari.storage.metadata import complete_metadata, provenance
 from imujoco_minari.storage.quiet_file import writing
-from imujoco_minari.variants import EXPERT, NAMESPACE, catalogue
+from imujoco_minari.variants import EXPERT, NAMESPACE
 from imujoco_minari.variants.original import CATALOGUE, ORIGINAL
 from imujoco_minari.verification.child_process import survives
 
@@ -100,12 +100,6 @@ def combine_datasets(
         minari_root.commit(staged, new_dataset_id, replace=force)
     with minari_root.failures_named():
         return MinariDataset(folder / "data")
-
-
-def published_ids(robot: str, category: str | None = None, tier: str = EXPERT) -> list[str]:
-    """Return the ids of the catalogue's datasets of a robot, category and tier that are in the root."""
-    ids = (variant.dataset_id(tier) for variant in catalogue(robot, category))
-    return [dataset_id for dataset_id in ids if minari_root.exists(dataset_id)]
 
 
 def collection_id(robot: str, category: str | None = None, tier: str = EXPERT) -> str:

@@ -20,7 +20,14 @@ from gymnasium.envs.registration import EnvSpec
 from minari.data_collector import EpisodeBuffer
 
 from imujoco_minari.envs.mjcf import canonical_mjcf, mjcf_sha256
-from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError, JobError, clipped
+from imujoco_minari.errors import (
+    DatasetError,
+    DatasetExistsError,
+    ImujocoError,
+    JobError,
+    NotFoundError,
+    clipped,
+)
 from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies.references import reference_scores
 from imujoco_minari.publishing.recipes import Recipe, algorithms, description
@@ -48,6 +55,7 @@ class Published:
         content_sha256: digest of the arrays.
         seconds: wall time.
         error: why it failed; empty when it did not.
+        missing: whether it failed because something that was asked for does not exist.
     """
 
     dataset_id: str
@@ -60,6 +68,7 @@ class Published:
     content_sha256: str = ""
     seconds: float = 0.0
     error: str = ""
+    missing: bool = False
 
 
 def publish(
@@ -249,7 +258,7 @@ def _attempt(recipe: Recipe, force: bool) -> Published:
     try:
         return publish(recipe, force=force)
     except ImujocoError as error:
-        return Published(recipe.dataset_id, error=str(error))
+        return Published(recipe.dataset_id, error=str(error), missing=isinstance(error, NotFoundError))
 
 
 def _summary(dataset_id: str, *, created: bool, seconds: float = 0.0) -> Published:

@@ -17,6 +17,7 @@ from minari.serialization import deserialize_space
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError
 from imujoco_minari.storage import copying, file_format, minari_root
 from imujoco_minari.storage.metadata import read_metadata
+from imujoco_minari.storage.missing import not_in_root
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ def open_source(dataset: MinariDataset | str) -> Source:
     if isinstance(dataset, str):
         dataset_id, data = dataset, minari_root.dataset_folder(dataset) / "data"
         if not data.is_dir():
-            raise DatasetNotFoundError(f"{dataset} is not in the Minari root, at {data.parent}")
+            raise not_in_root(dataset)
         chosen = None
     elif isinstance(dataset, MinariDataset):
         if dataset.storage.FORMAT != "hdf5":

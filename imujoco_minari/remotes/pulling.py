@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError
+from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError, NotFoundError
 from imujoco_minari.remotes.connecting import connect
 from imujoco_minari.remotes.stores import Store, explained, metadata, sources_of
 from imujoco_minari.storage import copying, file_format, minari_root
@@ -38,6 +38,7 @@ class Pulled:
         same_simulator: whether the simulator here is the one that made it, so that a replay is exact.
         seconds: wall time.
         error: why it failed; empty when it did not.
+        missing: whether it failed because something that was asked for does not exist.
     """
 
     dataset_id: str
@@ -48,6 +49,7 @@ class Pulled:
     same_simulator: bool = True
     seconds: float = 0.0
     error: str = ""
+    missing: bool = False
 
 
 def pull(dataset_id: str, remote: str, *, token: str | None = None, force: bool = False) -> list[Pulled]:
@@ -86,7 +88,7 @@ def pull_all(
         try:
             yield from _pull(store, dataset_id, remote, set(dataset_ids) if force else set(), done)
         except ImujocoError as error:
-            yield Pulled(dataset_id, remote, error=str(error))
+            yield Pulled(dataset_id, remote, error=str(error), missing=isinstance(error, NotFoundError))
 
 
 def _pull(

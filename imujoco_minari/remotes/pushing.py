@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError, RemoteError
+from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError, NotFoundError, RemoteError
 from imujoco_minari.remotes.card import dataset_card, namespace_card
 from imujoco_minari.remotes.connecting import connect
 from imujoco_minari.remotes.stores import (
@@ -41,6 +41,7 @@ class Pushed:
         content_sha256: digest of its arrays; empty for a linked collection, which has none of its own.
         seconds: wall time.
         error: why it failed; empty when it did not.
+        missing: whether it failed because something that was asked for does not exist.
     """
 
     dataset_id: str
@@ -50,6 +51,7 @@ class Pushed:
     content_sha256: str = ""
     seconds: float = 0.0
     error: str = ""
+    missing: bool = False
 
 
 def push(dataset_id: str, remote: str, *, token: str | None = None, force: bool = False) -> list[Pushed]:
@@ -102,7 +104,7 @@ def push_all(
                     uploaded += [part] if outcome.uploaded else []
                     yield outcome
         except ImujocoError as error:
-            yield Pushed(dataset_id, remote, error=str(error))
+            yield Pushed(dataset_id, remote, error=str(error), missing=isinstance(error, NotFoundError))
     if uploaded:
         _describe(store, remote, uploaded)
 

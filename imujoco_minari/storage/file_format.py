@@ -65,7 +65,7 @@ def arrays(group: h5py.Group, prefix: str = "") -> Iterator[tuple[str, h5py.Data
 def episode_sha256(digests: Mapping[str, str]) -> str:
     """Return the digest of an episode from its arrays' names and digests."""
     return hashlib.sha256(
-        "".join(f"{name} {digests[name]}\n" for name in sorted(digests)).encode()
+        "".join(f"{name} {digests[name]}\n" for name in sorted(digests)).encode("utf-8", "surrogateescape")
     ).hexdigest()
 
 

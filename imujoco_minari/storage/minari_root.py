@@ -17,7 +17,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError, StorageError
+from imujoco_minari.errors import (
+    DatasetError,
+    DatasetExistsError,
+    DatasetIdError,
+    ImujocoError,
+    StorageError,
+)
 from imujoco_minari.storage.atomic import (
     UNSUPPORTED,
     exchange,
@@ -58,16 +64,16 @@ def dataset_folder(dataset_id: str) -> Path:
     """Return where the dataset ``dataset_id`` lies or would lie.
 
     Raises:
-        DatasetError: when ``dataset_id`` is no namespaced Minari id.
+        DatasetIdError: when ``dataset_id`` is no namespaced Minari id.
     """
     if not isinstance(dataset_id, str) or len(dataset_id) > 200 or not _DATASET_ID.fullmatch(dataset_id):
-        raise DatasetError(
+        raise DatasetIdError(
             f"malformed dataset id {str(dataset_id)[:80]!r}; "
             "valid: <namespace>/<name>-v<version>, as in imujoco/hopper-all-v0"
         )
     if "data" in dataset_id.split("/"):
         # Minari takes every folder that holds a "data" for a dataset and looks no deeper.
-        raise DatasetError(f"malformed dataset id {dataset_id!r}: a namespace cannot be named 'data'")
+        raise DatasetIdError(f"malformed dataset id {dataset_id!r}: a namespace cannot be named 'data'")
     return datasets_root() / dataset_id
 
 
@@ -269,7 +275,7 @@ def commit(staged: Path, dataset_id: str, *, replace: bool = False) -> Path:
             if not replace:
                 raise DatasetExistsError(
                     f"{dataset_id} is already there, at {target}; it was left alone "
-                    "(--force replaces it, `minari delete` removes it)"
+                    "(--force replaces it, `imujoco delete` removes it)"
                 ) from None
             if not (target / "data").is_dir():
                 raise DatasetExistsError(
@@ -279,6 +285,18 @@ def commit(staged: Path, dataset_id: str, *, replace: bool = False) -> Path:
                 _replace_in_two_steps(staged, target, dataset_id)
         sync_folder(target.parent)
     return target
+
+
+def remove(dataset_id: str) -> None:
+    """Remove a dataset: it disappears in one step, then its files are deleted.
+
+    Raises:
+        StorageError: when the root cannot be written.
+    """
+    folder = dataset_folder(dataset_id)
+    with staging() as staged, failures_named(folder):
+        folder.rename(staged / "removed")
+        sync_folder(folder.parent)
 
 
 def make_namespace(namespace: str, description: str = "") -> None:

@@ -16,7 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from imujoco_minari.errors import ImujocoError, JobError, TrainingError
+from imujoco_minari.errors import ImujocoError, JobError, NotFoundError, TrainingError
 from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies import expert_record, policies_folder
 from imujoco_minari.storage.files import write_json
@@ -80,6 +80,7 @@ class Trained:
         created: whether that was made now.
         tried: record of a run that was to improve it and did not.
         error: why it failed.
+        missing: whether it failed because something that was asked for does not exist.
     """
 
     variant: Variant | str
@@ -87,6 +88,7 @@ class Trained:
     created: bool = False
     tried: dict[str, Any] = field(default_factory=dict)
     error: str = ""
+    missing: bool = False
 
 
 def train(variant: Variant, plan: Plan, on_interval: OnInterval | None = None) -> Trained:
@@ -224,7 +226,7 @@ def _attempt(variant: Variant | str, plan: Plan) -> Trained:
     try:
         return train(variant, plan) if isinstance(variant, Variant) else train_generalist(variant, plan)
     except ImujocoError as error:
-        return Trained(variant, error=str(error))
+        return Trained(variant, error=str(error), missing=isinstance(error, NotFoundError))
 
 
 def task(variant: Variant, plan: Plan) -> Task:

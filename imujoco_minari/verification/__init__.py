@@ -15,10 +15,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from imujoco_minari.errors import DatasetNotFoundError, JobError
+from imujoco_minari.errors import JobError
 from imujoco_minari.parallel import run_jobs
 from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.storage.metadata import read_metadata
+from imujoco_minari.storage.missing import not_in_root
 from imujoco_minari.verification import child_process, digests
 from imujoco_minari.verification.check import check, unreadable
 from imujoco_minari.verification.findings import MAX_FINDINGS, Checked, Finding, shown
@@ -51,9 +52,7 @@ def verify(
     """
     folder = minari_root.dataset_folder(dataset_id)
     if not folder.exists():
-        raise DatasetNotFoundError(
-            f"{dataset_id} is not in the Minari root, at {folder}; see `minari list local`"
-        )
+        raise not_in_root(dataset_id)
     data = folder / "data"
     checked = child_process.checked_apart(data, jobs if backend is None else 1)
     if isinstance(checked, Finding):

@@ -18,8 +18,12 @@ from imujoco_minari.cli.app import run
 def test_list_counts_the_catalogue(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["list"]) == 0
     out = capsys.readouterr().out
-    assert "154 variants and 3 bases" in out
+    assert "154 variants; 154 with an expert policy, 0 published" in out
     assert "hopper-massdec_25_leggeom" in out
+    assert run(["list", "--robot", "hopper", "--with-base"]) == 0
+    out = capsys.readouterr().out
+    assert out.splitlines()[1].startswith("hopper-base ")
+    assert "37 variants and 1 base; " in out
     assert run(["list", "--robot", "walker2d", "--category", "length", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)
     assert len(rows) == 14
@@ -45,7 +49,8 @@ def test_publish_verify_combine(capsys: pytest.CaptureFixture[str], root: Path) 
     )
     captured = capsys.readouterr()
     assert captured.out.count("published imujoco/hopper-friction") == 3
-    assert "3 published, 0 there already, 0 failed" in captured.err
+    assert captured.err.startswith("3 datasets: about ")
+    assert captured.err.endswith("published 3, failed 0\n")
     assert run(["publish", "hopper-frictiondec_50_feet", "--tier", "random"]) == 0
     assert "left alone imujoco/hopper-frictiondec_50_feet-random-v0" in capsys.readouterr().out
     assert run(["combine", "--robot", "hopper", "--tier", "random"]) == 0
@@ -79,13 +84,13 @@ def test_verify_fails_on_damage(capsys: pytest.CaptureFixture[str], root: Path) 
         (["publish"], 2, "name a variant"),
         (["publish", "hopper-base", "--episodes", "0"], 2, "--episodes"),
         (["publish", "hopper-base", "--tier", "No Tier"], 2, "malformed tier"),
-        (["publish", "hopper-massinc_37_torsogeom"], 1, "imujoco train hopper-massinc_37_torsogeom"),
-        (["publish", "hopper-base", "--policy", "missing.zip"], 1, "no policy file at missing.zip"),
-        (["verify", "imujoco/nothing-v0"], 1, "not in the Minari root"),
-        (["verify", "../../etc-v0"], 1, "malformed dataset id"),
-        (["combine", "--robot", "hopper"], 1, "imujoco publish --robot hopper"),
+        (["publish", "hopper-massinc_37_torsogeom"], 2, "imujoco train hopper-massinc_37_torsogeom"),
+        (["publish", "hopper-base", "--policy", "missing.zip"], 2, "no policy file at missing.zip"),
+        (["verify", "imujoco/nothing-v0"], 2, "not in the Minari root"),
+        (["verify", "../../etc-v0"], 2, "malformed dataset id"),
+        (["combine", "--robot", "hopper"], 2, "imujoco publish --robot hopper"),
         (["combine", "a/b-v0"], 2, "--id"),
-        (["policy", "export", "hopper-massinc_37_torsogeom", "x.zip"], 1, "imujoco train"),
+        (["policy", "export", "hopper-massinc_37_torsogeom", "x.zip"], 2, "imujoco train"),
     ],
 )
 def test_a_mistake_gets_one_clear_line_and_a_code(

@@ -288,7 +288,7 @@ def test_the_command_exports(
 
 
 def test_the_command_names_a_dataset_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["export", "imujoco/hopper-none-v0", "-f", "npz"]) == 1
+    assert run(["export", "imujoco/hopper-none-v0", "-f", "npz"]) == 2
     assert "imujoco/hopper-none-v0 is not in the Minari root" in capsys.readouterr().err
 
 

@@ -205,7 +205,7 @@ def test_what_cannot_be_imported_is_named(tmp_path: Path, capsys: pytest.Capture
         read_source(str(tmp_path), "hopper")
     with pytest.raises(DatasetNotFoundError, match="no such file, folder or dataset"):
         read_source("nothing", "hopper")
-    assert run(["import", "mujoco/hopper/x-v0", "--variant", "hopper-base", "--tier", "t"]) == 1
+    assert run(["import", "mujoco/hopper/x-v0", "--variant", "hopper-base", "--tier", "t"]) == 2
     assert "minari download mujoco/hopper/x-v0" in capsys.readouterr().err
     assert run(["import", "x", "--variant", "hopper-bas", "--tier", "t"]) == 2
     assert run(["import", str(tmp_path / "h.hdf5"), "--variant", "hopper-base", "--tier", "No Tier"]) == 2

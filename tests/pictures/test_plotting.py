@@ -217,11 +217,11 @@ def test_the_command_plots_and_tells_of_a_missing_base(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     dataset_id = publish(LEG, tier="random", episodes=2).dataset_id
-    assert run(["plot", dataset_id, "--out", str(tmp_path / "plots"), "--json"]) == 0
+    assert run(["plot", dataset_id, "--output", str(tmp_path / "plots"), "--json"]) == 0
     told = capsys.readouterr()
-    assert "imujoco/hopper-base-random-v0 is not published here" in told.err
+    assert "imujoco/hopper-base-random-v0 is not in the Minari root" in told.err
     assert len(json.loads(told.out)["files"]) == len(list((tmp_path / "plots").iterdir())) == 8
-    assert run(["plot", "imujoco/hopper-base-v0"]) == 1
+    assert run(["plot", "imujoco/hopper-base-v0"]) == 2
     assert "is not in the Minari root" in capsys.readouterr().err
 
 

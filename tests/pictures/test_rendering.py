@@ -432,7 +432,7 @@ def test_the_backend_is_found_after_mujoco_was_imported(opengl: str, tmp_path: P
         "import sys, mujoco, imujoco_minari.envs.robots.robots\n"
         "from imujoco_minari.cli.app import run\n"
         "import imujoco_minari.cli\n"
-        "sys.exit(run('render hopper-base --tier random --size 64x64 --out'.split() + sys.argv[1:]))"
+        "sys.exit(run('render hopper-base --tier random --size 64x64 --output'.split() + sys.argv[1:]))"
     )
     environment = {
         key: value
@@ -546,12 +546,12 @@ def test_the_command_renders_a_recorded_episode(
     ("arguments", "code", "words"),
     [
         (["hopper-massdec_25_legeom"], 2, "did you mean"),
-        (["hopper-base", "--tier", "mine", "--out", "a.png"], 1, "policy makes the tier 'mine'"),
-        (["hopper-base", "--tier", "random", "--out", "a.avi"], 1, "valid endings"),
-        (["hopper-base", "--tier", "random", "--sheet", "--out", "a.gif"], 1, "give --out a .png"),
-        (["hopper-base", "--tier", "random", "--out", "a.png", "--size", "big"], 1, "WIDTHxHEIGHT"),
-        (["hopper-base", "--tier", "random", "--out", "a.png", "--size", "1x1"], 1, "64 to 4096"),
-        (["imujoco/hopper-base-v0", "--out", "a.png"], 1, "is not in the Minari root"),
+        (["hopper-base", "--tier", "mine", "--output", "a.png"], 2, "policy makes the tier 'mine'"),
+        (["hopper-base", "--tier", "random", "--output", "a.avi"], 1, "valid endings"),
+        (["hopper-base", "--tier", "random", "--sheet", "--output", "a.gif"], 1, "give --output a .png"),
+        (["hopper-base", "--tier", "random", "--output", "a.png", "--size", "big"], 1, "WIDTHxHEIGHT"),
+        (["hopper-base", "--tier", "random", "--output", "a.png", "--size", "1x1"], 1, "64 to 4096"),
+        (["imujoco/hopper-base-v0", "--output", "a.png"], 2, "is not in the Minari root"),
     ],
 )
 def test_the_command_names_what_is_wrong(

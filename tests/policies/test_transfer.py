@@ -204,10 +204,10 @@ def test_the_command_writes_numbers_and_pictures_and_goes_on(
     pytest.importorskip("matplotlib")
     save_file(dict(actor(5).weights), tmp_path / "mine.safetensors")
     folder = tmp_path / "out"
-    arguments = ["transfer", "--robot", "hopper", "-c", "friction", "-n", "1", "--out", str(folder)]
+    arguments = ["transfer", "--robot", "hopper", "-c", "friction", "-n", "1", "--output", str(folder)]
     arguments += ["--policy", str(tmp_path / "mine.safetensors")]
     assert run(arguments) == 0
-    assert "1 policies on 4 variants" in capsys.readouterr().out
+    assert "1 policy on 3 variants and 1 base, 1 episode each" in capsys.readouterr().out
     assert sorted(path.name for path in folder.iterdir()) == [
         "transfer.csv",
         "transfer.json",
@@ -227,5 +227,5 @@ def test_the_command_names_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureF
     assert "--robot" in capsys.readouterr().err
     assert run(["transfer", "--robot", "hoper"]) == 2
     assert "did you mean" in capsys.readouterr().err
-    assert run(["transfer", "--robot", "hopper", "--policy", str(tmp_path / "none.zip")]) == 1
+    assert run(["transfer", "--robot", "hopper", "--policy", str(tmp_path / "none.zip")]) == 2
     assert "no policy file at" in capsys.readouterr().err

@@ -288,11 +288,11 @@ def test_pulling_leaves_alone_what_is_here_and_names_what_is_not_there(store: Fo
 def test_a_batch_goes_on_past_a_failure_and_names_it(
     store: FolderStore, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(["push", "imujoco/nothing-v0", HOPPER, "--remote", REMOTE]) == 1
+    assert run(["push", "imujoco/nothing-v0", HOPPER, "--remote", REMOTE]) == 2
     output = capsys.readouterr()
     assert f"pushed {HOPPER} to {REMOTE}" in output.out
     assert "error: imujoco/nothing-v0 is not in the Minari root" in output.err
-    assert "1 done, 1 failed" in output.err
+    assert "pushed 1, failed 1" in output.err
     assert run(["pull", HOPPER, "--remote", REMOTE, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)[0]["downloaded"] is False
 

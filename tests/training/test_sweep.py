@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from imujoco_minari.cli.app import run as run_command
-from imujoco_minari.cli.training import _report
+from imujoco_minari.cli.training import describe_trained
 from imujoco_minari.envs.registration import make
 from imujoco_minari.errors import CatalogueError, PolicyError, PolicyNotFoundError, TrainingError
 from imujoco_minari.policies import expert_actor, expert_record, expert_variants, policies_folder
@@ -339,17 +339,17 @@ def test_hyperparameters_are_layered_and_checked(robot: str) -> None:
     ],
 )
 def test_a_weak_outcome_says_what_may_do_better(
-    share: float, start: str, command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    share: float, start: str, command: str, tmp_path: Path
 ) -> None:
     record = dict(expert_record(LIGHT_LEG)) | {"start": start}
     mean = share * expert_record(BASE)["evaluation"]["return_mean"]
     record["evaluation"] = record["evaluation"] | {"return_mean": mean}
     for outcome in (Trained(LIGHT_LEG, record, created=True), Trained(LIGHT_LEG, record, tried=record)):
-        _report(outcome, Plan(tmp_path), quiet=False)
-        printed = " ".join(capsys.readouterr().out.split())
-        assert (command in printed) if command else ("may find" not in printed)
-    _report(Trained("hopper-all", record, created=True), Plan(tmp_path), quiet=False)
-    assert "may find" not in capsys.readouterr().out
+        printed = " ".join(describe_trained(outcome, Plan(tmp_path)))
+        assert (command in printed) if command else ("may do better" not in printed)
+    whole = describe_trained(Trained("hopper-all", record, created=True), Plan(tmp_path))
+    assert whole[0] == "trained"
+    assert "may do better" not in " ".join(whole)
 
 
 def test_a_broken_record_is_named(home: Path) -> None:

@@ -20,6 +20,7 @@ from imujoco_minari.errors import DatasetError, DatasetNotFoundError
 from imujoco_minari.pictures.rendering.motion import Motion, PositionRecorder, timestep
 from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.storage.metadata import read_metadata
+from imujoco_minari.storage.missing import not_in_root
 from imujoco_minari.variants import Variant, specification
 from imujoco_minari.variants.original import variant_of
 from imujoco_minari.verification.identity import dataset_models
@@ -107,9 +108,7 @@ def read_recorded(dataset_id: str, episode: int = 0) -> Recorded:
     """
     path = file_format.main_file(minari_root.dataset_folder(dataset_id) / "data")
     if not path.is_file():
-        raise DatasetNotFoundError(
-            f"{dataset_id} is not in the Minari root, {minari_root.datasets_root()}; see `minari list local`"
-        )
+        raise not_in_root(dataset_id)
     try:
         with h5py.File(path, "r") as file:
             if not 0 <= episode < len(file):

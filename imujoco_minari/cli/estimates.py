@@ -1,0 +1,128 @@
+"""How much disk and time long work will take. The constants were measured on one core of a 2-core machine."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from imujoco_minari.cli.app import counted
+from imujoco_minari.errors import ImujocoError, NotFoundError
+from imujoco_minari.policies import expert_record
+from imujoco_minari.storage import minari_root
+from imujoco_minari.variants import BASE, EXPERT, Variant, specification
+
+if TYPE_CHECKING:
+    from imujoco_minari.publishing.recipes import Recipe
+
+# Publishing: an episode has its groups, digests and metadata beside its steps.
+BYTES_PER_EPISODE = 4500
+SECONDS_PER_STEP, SECONDS_PER_EPISODE = 1.1e-4, 5e-3
+# The time limit, for policies with no record of how long their episodes are.
+STEPS_PER_EPISODE = 1000
+# Training: means over the shipped experts. A base comes with its whole agent and its ladder.
+SECONDS_PER_EXPERT, BYTES_PER_EXPERT = 245, 160_000
+SECONDS_PER_BASE, BYTES_PER_BASE = 2200, 4_000_000
+# The gallery: a clip, a portrait and a page.
+SECONDS_PER_CLIP, BYTES_PER_CLIP = 4.0, 45_000
+
+
+@dataclass(frozen=True)
+class Planned:
+    """What ``imujoco publish`` would do for one dataset.
+
+    Attributes:
+        dataset_id: the dataset's id.
+        action: ``publish``, ``replace`` or ``leave alone``.
+        episodes: number of episodes.
+        bytes: about how much disk it takes.
+        seconds: about how long one process works on it.
+        error: why it would fail; empty when it would not.
+        missing: whether it would fail because something that was asked for does not exist.
+    """
+
+    dataset_id: str
+    action: str = "publish"
+    episodes: int = 0
+    bytes: int = 0
+    seconds: float = 0.0
+    error: str = ""
+    missing: bool = False
+
+
+def plan(recipe: Recipe, *, force: bool = False) -> Planned:
+    """Return what publishing a recipe would do, without doing it."""
+    exists = minari_root.exists(recipe.dataset_id)
+    if exists and not force:
+        return Planned(recipe.dataset_id, "leave alone")
+    try:
+        recipe.parts()
+    except ImujocoError as error:
+        return Planned(recipe.dataset_id, error=str(error), missing=isinstance(error, NotFoundError))
+    steps = recipe.episodes * _steps_per_episode(recipe)
+    observation, action = specification(recipe.variant.robot).sizes
+    # Observations and rewards are 8 bytes a number, actions 4, and the two flags 1.
+    size = steps * (8 * observation + 4 * action + 10) + recipe.episodes * BYTES_PER_EPISODE
+    seconds = steps * SECONDS_PER_STEP + recipe.episodes * SECONDS_PER_EPISODE
+    return Planned(
+        recipe.dataset_id, "replace" if exists else "publish", recipe.episodes, round(size), seconds
+    )
+
+
+def _steps_per_episode(recipe: Recipe) -> float:
+    """Return how long an episode is by the record of the expert, or else the time limit."""
+    key = {EXPERT: "evaluation", "random": "random"}.get(recipe.tier) if recipe.policy is None else None
+    evaluation = expert_record(recipe.variant).get(key or "", {})
+    return float(evaluation.get("length_mean", STEPS_PER_EPISODE))
+
+
+def publishing_line(planned: Sequence[Planned], jobs: int) -> str:
+    """Return what publishing the plan takes, in a line."""
+    wanted = [each for each in planned if each.action != "leave alone" and not each.error]
+    line = counted(len(planned), "dataset")
+    if len(wanted) < len(planned):
+        line += f", {len(wanted)} of them to publish"
+    return f"{line}: {cost(sum(p.bytes for p in wanted), sum(p.seconds for p in wanted), jobs)}"
+
+
+def training_line(variants: Iterable[Variant], policies: Path | None, jobs: int, *, improve: bool) -> str:
+    """Return what training the experts that variants lack takes, in a line; all of them with ``improve``."""
+    chosen = list(variants)
+    wanted = [variant for variant in chosen if improve or not expert_record(variant, policies)]
+    base = sum(variant.category == BASE for variant in wanted)
+    size = base * BYTES_PER_BASE + (len(wanted) - base) * BYTES_PER_EXPERT
+    seconds = base * SECONDS_PER_BASE + (len(wanted) - base) * SECONDS_PER_EXPERT
+    line = counted(len(chosen), "expert")
+    if len(wanted) < len(chosen):
+        line += f", {len(wanted)} of them to train"
+    return f"{line}: {cost(size, seconds, jobs)}"
+
+
+def gallery_line(count: int) -> str:
+    """Return what drawing a gallery of ``count`` variants and bases takes, in a line."""
+    return (
+        f"{count} variants and bases: {cost(count * BYTES_PER_CLIP, count * SECONDS_PER_CLIP)}, "
+        "less for those that are drawn already"
+    )
+
+
+def cost(size: float, seconds: float, jobs: int = 1) -> str:
+    """Return an amount of disk and of time in words, as in ``about 2.4 GB and 28 minutes``."""
+    text = f"about {size_text(size)} and {time_text(seconds / jobs)}"
+    return text + (f" with {jobs} processes on as many cores" if jobs > 1 else "")
+
+
+def size_text(size: float) -> str:
+    """Return a number of bytes as people read it."""
+    for unit, name in ((1e9, "GB"), (1e6, "MB")):
+        if size >= unit:
+            return f"{size / unit:.1f} {name}"
+    return f"{size / 1e3:.0f} kB"
+
+
+def time_text(seconds: float) -> str:
+    """Return a duration as people read it."""
+    if seconds >= 2 * 3600:
+        return f"{seconds / 3600:.1f} hours"
+    return counted(round(seconds / 60), "minute") if seconds >= 90 else counted(round(seconds), "second")

@@ -1,0 +1,112 @@
+"""Which variants and datasets a command works on. The filters mean the same in every command.
+
+``--robot`` and ``--category`` choose variants of the catalogue, and ``--all`` chooses all 154 of them.
+The base robots are not variants: ``--with-base`` adds those of the chosen variants.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from imujoco_minari.cli.app import counted
+from imujoco_minari.errors import DatasetNotFoundError, VariantError
+from imujoco_minari.storage import minari_root
+from imujoco_minari.variants import BASE, EXPERT, Variant, catalogue
+
+
+@dataclass(frozen=True)
+class Filters:
+    """The filters of a command.
+
+    Attributes:
+        robot: variants of this robot; None for any.
+        category: variants of this category; None for any.
+        everything: all variants of the catalogue.
+        with_base: add the base robots of the chosen variants.
+    """
+
+    robot: str | None = None
+    category: str | None = None
+    everything: bool = False
+    with_base: bool = False
+
+    def __bool__(self) -> bool:
+        return bool(self.robot or self.category or self.everything)
+
+    def __str__(self) -> str:
+        words = ["--all"] if self.everything else []
+        words += [f"--robot {self.robot}"] if self.robot else []
+        words += [f"--category {self.category}"] if self.category else []
+        return " ".join(words + ["--with-base"] * self.with_base)
+
+    def variants(self) -> list[Variant]:
+        """Return the variants that the filters leave, each robot's base first if it is wanted.
+
+        Raises:
+            VariantError: when there is no such robot or category.
+        """
+        chosen = catalogue(self.robot, self.category)
+        if not self.with_base:
+            return list(chosen)
+        return [each for base in dict.fromkeys(v.base for v in chosen) for each in (base, *_of(chosen, base))]
+
+
+def _of(variants: Sequence[Variant], base: Variant) -> list[Variant]:
+    return [variant for variant in variants if variant.robot == base.robot]
+
+
+def counted_variants(variants: Sequence[Variant]) -> str:
+    """Return how many variants and bases there are, in words: ``37 variants and 1 base``."""
+    bases = sum(variant.category == BASE for variant in variants)
+    words = [counted(len(variants) - bases, "variant"), *([counted(bases, "base")] if bases else [])]
+    return " and ".join(words)
+
+
+def select(names: Sequence[str] | None, filters: Filters) -> list[Variant]:
+    """Return the variants that a command names, or those that its filters choose from the catalogue.
+
+    Raises:
+        VariantError: when a name is no variant, or there are names and filters, or neither.
+    """
+    if names and (filters or filters.with_base):
+        raise VariantError(f"give ids or {filters}, not both")
+    if names:
+        return list(dict.fromkeys(Variant.parse(name) for name in names))
+    if not filters:
+        raise VariantError("name a variant, or choose some with --robot, --category or --all")
+    return filters.variants()
+
+
+def select_datasets(
+    ids: Sequence[str] | None, filters: Filters, tiers: Sequence[str] | None = None, *, published: bool = True
+) -> list[str]:
+    """Return the dataset ids that a command names, or those of the chosen variants and tiers.
+
+    Args:
+        ids: the ids that the command names.
+        filters: its filters.
+        tiers: its tiers; only the experts' data when there are none.
+        published: leave out datasets that the Minari root does not hold.
+
+    Raises:
+        VariantError: when there are ids and filters, or neither.
+        DatasetNotFoundError: when nothing is left.
+    """
+    if ids and (filters or filters.with_base or tiers):
+        raise VariantError("give dataset ids, or --robot, --category, --all and --tier, not both")
+    if ids:
+        return list(dict.fromkeys(ids))
+    if not filters:
+        raise VariantError("give dataset ids, or choose some with --robot, --category or --all")
+    tiers = list(dict.fromkeys(tiers or [EXPERT]))
+    found = [variant.dataset_id(tier) for tier in tiers for variant in filters.variants()]
+    if published:
+        found = [dataset_id for dataset_id in found if minari_root.exists(dataset_id)]
+    if not found:
+        flags = "".join(f" --tier {tier}" for tier in tiers if tiers != [EXPERT])
+        raise DatasetNotFoundError(
+            f"no {' or '.join(tiers)} dataset of {filters} is in the Minari root: "
+            f"make them with `imujoco publish {filters}{flags}`"
+        )
+    return found

@@ -1,0 +1,105 @@
+"""Deleting datasets from the Minari root, except those that a linked collection still needs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+
+from imujoco_minari.errors import DatasetError, ImujocoError, NotFoundError
+from imujoco_minari.storage import file_format, minari_root
+from imujoco_minari.storage.metadata import read_metadata
+from imujoco_minari.storage.missing import not_in_root
+
+
+@dataclass(frozen=True)
+class Deleted:
+    """What became of one dataset that was to be deleted.
+
+    Attributes:
+        dataset_id: the dataset's id.
+        path: where it was.
+        bytes: size of its files.
+        error: why it was not deleted; empty when it was.
+        missing: whether there was no such dataset.
+    """
+
+    dataset_id: str
+    path: Path | None = None
+    bytes: int = 0
+    error: str = ""
+    missing: bool = False
+
+
+def delete(dataset_ids: Sequence[str], *, force: bool = False) -> Iterator[Deleted]:
+    """Delete datasets from the Minari root and yield each outcome as it comes, failures included.
+
+    A dataset disappears in one step. A dataset whose episodes a linked collection refers to is not
+    deleted, unless the collection is deleted too. A folder that holds anything beside one dataset is
+    never deleted.
+
+    Args:
+        dataset_ids: which datasets.
+        force: delete datasets that linked collections refer to. Those collections become unreadable.
+    """
+    links = linked_collections()
+    pending = list(dict.fromkeys(dataset_ids))
+    while pending:
+        # Collections go before the datasets that they link to.
+        dataset_id = min(pending, key=lambda each: len(links.get(each, set()) & set(pending)))
+        pending.remove(dataset_id)
+        try:
+            with minari_root.failures_named(minari_root.dataset_folder(dataset_id)):
+                outcome = _delete(dataset_id, set() if force else links.get(dataset_id, set()))
+        except ImujocoError as error:
+            outcome = Deleted(dataset_id, error=str(error), missing=isinstance(error, NotFoundError))
+        else:
+            for collections in links.values():
+                collections.discard(dataset_id)
+        yield outcome
+
+
+def _delete(dataset_id: str, collections: set[str]) -> Deleted:
+    folder = minari_root.dataset_folder(dataset_id)
+    if not minari_root.exists(dataset_id):
+        raise not_in_root(dataset_id)
+    data = folder / "data"
+    if not (file_format.main_file(data).is_file() or (data / "metadata.json").is_file()):
+        raise DatasetError(f"{dataset_id} was not deleted: there is no dataset at {folder}")
+    others = sorted(path.name for path in folder.iterdir() if path.name != "data")
+    if others:
+        raise DatasetError(
+            f"{dataset_id} was not deleted: {folder} holds other files too: {', '.join(others[:3])}"
+        )
+    if collections:
+        raise DatasetError(
+            f"{dataset_id} was not deleted: {', '.join(sorted(collections))} links to its episodes; "
+            "delete that first, or give --force"
+        )
+    size = sum(path.lstat().st_size for path in data.rglob("*") if path.is_file())
+    minari_root.remove(dataset_id)
+    return Deleted(dataset_id, folder, size)
+
+
+def linked_collections() -> dict[str, set[str]]:
+    """Return, for each dataset that linked collections of the root refer to, the ids of those."""
+    found: dict[str, set[str]] = {}
+    root = minari_root.datasets_root()
+    for file in root.glob("**/data/metadata.json"):
+        data = file.parent
+        sources = read_metadata(data).get("combined_datasets")
+        if isinstance(sources, list) and minari_root.STAGING not in file.parts and _is_linked(data):
+            for source in sources:
+                found.setdefault(str(source), set()).add(data.parent.relative_to(root).as_posix())
+    return found
+
+
+def _is_linked(data: Path) -> bool:
+    """Return whether the first episode of a collection is a link to another file."""
+    try:
+        with h5py.File(file_format.main_file(data), "r") as file:
+            return isinstance(file.get("episode_0", getlink=True), h5py.ExternalLink)
+    except (OSError, KeyError, RuntimeError):
+        return False

@@ -1,0 +1,41 @@
+"""The error for a dataset that is not in the Minari root. It names the command that makes it."""
+
+from __future__ import annotations
+
+from imujoco_minari.errors import DatasetNotFoundError, VariantError
+from imujoco_minari.storage import minari_root
+from imujoco_minari.variants import CATEGORIES, EXPERT, NAMESPACE, ROBOTS, parse_dataset_id
+
+
+def not_in_root(dataset_id: str) -> DatasetNotFoundError:
+    """Return the error for the id of a dataset that the Minari root does not hold.
+
+    Example:
+        >>> print(not_in_root("imujoco/hopper-base-random-v0"))
+        imujoco/hopper-base-random-v0 is not in the Minari root, at .../imujoco/hopper-base-random-v0;
+        make it with `imujoco publish hopper-base --tier random`
+    """
+    command = making(dataset_id)
+    advice = f"make it with `{command}`" if command else "see `minari list local`"
+    folder = minari_root.dataset_folder(dataset_id)
+    return DatasetNotFoundError(f"{dataset_id} is not in the Minari root, at {folder}; {advice}")
+
+
+def making(dataset_id: str) -> str:
+    """Return the command that makes the dataset ``dataset_id``; empty when the id is not one of ours."""
+    if dataset_id.startswith(f"{NAMESPACE}-original/"):
+        return "imujoco import-archive DIR"
+    if not (dataset_id.startswith(f"{NAMESPACE}/") and dataset_id.endswith("-v0")):
+        return ""
+    robot, _, rest = dataset_id.removeprefix(f"{NAMESPACE}/").removesuffix("-v0").partition("-")
+    part, _, tier = rest.partition("-")
+    if robot in ROBOTS and part in ("all", *CATEGORIES):
+        category = "" if part == "all" else f" --category {part}"
+        return f"imujoco combine --robot {robot}{category}" + (f" --tier {tier}" if tier else "")
+    try:
+        variant, tier = parse_dataset_id(dataset_id)
+    except VariantError:
+        return ""
+    if tier == "replay":
+        return f"imujoco train {variant} --record-replay"
+    return f"imujoco publish {variant}" + ("" if tier == EXPERT else f" --tier {tier}")
