@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 Jobs = Annotated[int, typer.Option("--jobs", "-j", min=1, help="How many processes.")]
 Backend = Annotated[
     str | None,
-    typer.Option("--backend", help="Where they run: loky (here), or a running cluster: ray or dask."),
+    typer.Option("--backend", help="Where the jobs run: loky (this machine) or ray (a running Ray cluster)."),
 ]
 Tier = Annotated[str, typer.Option("--tier", "-t", help="Which policy makes the data.")]
 
