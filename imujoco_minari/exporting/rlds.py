@@ -1,9 +1,9 @@
 """RLDS episodes as TFRecords, with the two JSON files by which TensorFlow Datasets reads a folder.
 
-``tensorflow_datasets.builder_from_directory(folder)`` opens it; writing needs no TensorFlow. An episode
-of T steps has T + 1, the last with its final observation, and with zeros for action and reward, which
-RLDS ignores there. It was truncated where that step ``is_last`` and not ``is_terminal``. Numbers are in
-float32, which is all that ``tf.train.Example`` holds; otherwise nothing is lost.
+``tensorflow_datasets.builder_from_directory(folder)`` opens the folder; writing needs no TensorFlow. An
+episode of T transitions has T + 1 RLDS steps. The last step holds the final observation, and zeros as
+action and reward, which RLDS ignores. An episode is truncated where its last step is not ``is_terminal``.
+Numbers are float32, because ``tf.train.Example`` has no float64; nothing else is lost.
 """
 
 from __future__ import annotations
@@ -19,21 +19,25 @@ from imujoco_minari.loading.load import Arrays, Trajectory
 from imujoco_minari.loading.selection import ATTRIBUTES, Origin
 
 VERSION = "1.0.0"
-# A file that grows beyond this (bytes) is the last but one.
+# A file takes no more episodes once it has this size (bytes).
 _SHARD = 2**28
 
 _FEATURES = "tensorflow_datasets.core.features"
 
 
 def write(data: Arrays, target: Path, *, states_only: bool) -> None:
-    """Write ``data`` to the folder ``target``."""
+    """Write ``data`` to the new folder ``target``.
+
+    Raises:
+        DependencyError: when google-crc32c is not installed.
+    """
     target.mkdir()
     name = "imujoco_" + (data.table[0].variant if len(data.table) == 1 else data.table[0].robot)
     name = name.replace("-", "_")
     records: list[bytes] = []
     lengths: list[int] = []
     size = written = 0
-    # Files say in their names how many there are, which is known at the end.
+    # The name of a file states the number of files, which is known at the end.
     for number, (episode, origin) in enumerate(zip(data.trajectories(), data.origins, strict=True)):
         message = _episode(episode, origin, number, states_only)
         records.append(record(message))
