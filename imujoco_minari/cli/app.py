@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import multiprocessing.util
 import os
 import signal
 import sys
@@ -11,6 +10,8 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
 from types import FrameType
 from typing import Annotated, Any
 
@@ -45,39 +46,50 @@ Category = Annotated[str | None, typer.Option("--category", "-c", help="mass, jo
 
 
 def main() -> None:
-    """Run the command line and exit with its code."""
-    interrupts: list[int] = []
+    """Run the command line and exit with its code, which is 130 after a Ctrl-C."""
+    interrupted = False
 
     def interrupt(number: int, frame: FrameType | None) -> None:
-        interrupts.append(number)
-        # What is taken down in the midst of its work has nothing to say that helps: joblib warns of jobs
-        # that it cancels, and now and then the thread that hands them out stumbles.
+        nonlocal interrupted
+        interrupted = True
+        # Interrupted work warns and fails in ways that help nobody: joblib warns of the jobs that it
+        # cancels, and the thread that hands them out may fail.
         warnings.simplefilter("ignore")
-        threading.excepthook = _say_nothing
+        threading.excepthook = _ignore_thread_exception
         signal.default_int_handler(number, frame)
 
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, interrupt)
+    _name_glfw_library()
     try:
         code = run(sys.argv[1:])
     except (Exception, KeyboardInterrupt):
-        # An extension that is interrupted as it is imported says that its import failed, and so on.
-        if not interrupts:
+        # An extension module that is interrupted while it is imported raises an ImportError, and so on.
+        if not interrupted:
             raise
         code = INTERRUPTED
-    if code == INTERRUPTED or (code and interrupts):
-        # All is cleaned up by now. The interpreter's own farewell would take HDF5 files that were
-        # interrupted in their closing apart in any order, and complain. Only the semaphores of worker
-        # processes are still given back, or who keeps their books reports them as leaked.
-        multiprocessing.util._run_finalizers(0)  # type: ignore[attr-defined]
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(INTERRUPTED)
-    sys.exit(code)
+    sys.exit(INTERRUPTED if interrupted and code else code)
 
 
-def _say_nothing(raised: threading.ExceptHookArgs) -> None:
-    """Take an exception that ended a thread, after an interrupt."""
+def _ignore_thread_exception(raised: threading.ExceptHookArgs) -> None:
+    """Ignore an exception that ended a thread after an interrupt."""
+
+
+def _name_glfw_library() -> None:
+    """Name the library that the package glfw contains, unless the user names one.
+
+    MuJoCo and Gymnasium import glfw. Without a name, glfw starts a Python process for every library that
+    it finds, to ask for its version. That takes 0.2 s, and a Ctrl-C in that time makes the process print
+    a traceback.
+    """
+    package = find_spec("glfw")
+    if package is None or package.origin is None or os.environ.get("PYGLFW_LIBRARY"):
+        return
+    window_system = os.environ.get("PYGLFW_LIBRARY_VARIANT") or os.environ.get("XDG_SESSION_TYPE", "")
+    folder = "wayland" if window_system.lower() == "wayland" else "x11"
+    library = Path(package.origin).parent / folder / "libglfw.so"
+    if library.is_file():
+        os.environ["PYGLFW_LIBRARY"] = str(library)
 
 
 def run(arguments: Sequence[str]) -> int:

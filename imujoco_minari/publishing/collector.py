@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import ExitStack, closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 from imujoco_minari.envs.registration import make
 from imujoco_minari.policies import LANES, Policy
 from imujoco_minari.policies.rollouts import episode_seed, roll_out_together
+from imujoco_minari.storage.quiet_file import safe_point
 from imujoco_minari.storage.writer import EpisodeStorage
 from imujoco_minari.variants import Variant
 
@@ -62,6 +64,7 @@ class FolderCollector(DataCollector):  # type: ignore[misc]
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Step the environment and record the transition."""
+        safe_point()
         observation, reward, terminated, truncated, info = self.env.step(action)
         buffer = self._buffer
         assert buffer is not None, "reset() comes before step()"
@@ -155,21 +158,23 @@ def collect(
         on_episode: called after each episode.
     """
     seeds = [episode_seed(seed, episode) for episode in episodes]
-    lanes = [FolderCollector(make(variant), target.parent, attributes) for _ in range(min(LANES, len(seeds)))]
-    first = lanes[0]
-    storage = first._storage
-    in_order = _InOrder(storage)
-    for lane in lanes:
-        lane._storage = in_order
+    with ExitStack() as opened:
+        lanes = [
+            opened.enter_context(closing(FolderCollector(make(variant), target.parent, attributes)))
+            for _ in range(min(LANES, len(seeds)))
+        ]
+        first = lanes[0]
+        storage = first._storage
+        in_order = _InOrder(storage)
+        for lane in lanes:
+            lane._storage = in_order
 
-    def begin(lane: int, episode: int) -> None:
-        lanes[lane]._episode_id = episode
+        def begin(lane: int, episode: int) -> None:
+            lanes[lane]._episode_id = episode
 
-    roll_out_together(lanes, policy, seeds, begin, on_episode or _nothing)
-    for lane in lanes[1:]:
-        lane.close()
-    first._storage = storage
-    first.keep(target)
+        roll_out_together(lanes, policy, seeds, begin, on_episode or _nothing)
+        first._storage = storage
+        first.keep(target)
 
 
 def _nothing() -> None:

@@ -142,8 +142,10 @@ def publish_episodes(
         stock = MinariStorage.new(data, env_spec=external.env_spec)
         storage = EpisodeStorage(data, stock.observation_space, stock.action_space)
         storage.attributes = external.attributes
-        storage.update_episodes(episodes)
-        storage.flush()
+        try:
+            storage.update_episodes(episodes)
+        finally:
+            storage.flush()
         storage.update_metadata(
             _seal(storage, external.attributes, external.mjcf)
             | {"dataset_id": dataset_id, "minari_version": version("minari")}

@@ -62,9 +62,13 @@ def record_replay(
         return collectors[0]
 
     run = Run(task, folder, record)
-    run.train(on_interval)
-    collectors[0]._buffer = None
-    collectors[0].keep(folder / "recorded")
+    try:
+        run.train(on_interval)
+        collectors[0]._buffer = None
+        collectors[0].keep(folder / "recorded")
+    finally:
+        for collector in collectors:
+            collector.close()
     external = External(
         dataset_id,
         attributes | {"source": dataset_id},

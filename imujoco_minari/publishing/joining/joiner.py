@@ -22,7 +22,7 @@ from imujoco_minari.publishing.joining.moving import Changes
 from imujoco_minari.publishing.joining.output import Output
 from imujoco_minari.publishing.joining.records import SUPERBLOCK, Positions, aligned
 from imujoco_minari.publishing.joining.root import Root
-from imujoco_minari.storage.quiet_file import polite_interrupts
+from imujoco_minari.storage.quiet_file import delayed_interrupts, safe_point
 
 
 class Joiner:
@@ -35,7 +35,7 @@ class Joiner:
             OSError: when it cannot be written.
         """
         with ExitStack() as stack:
-            stack.enter_context(polite_interrupts())
+            stack.enter_context(delayed_interrupts())
             self._root = stack.enter_context(Root(episodes))
             *self._bases, self._root_at = accumulate(map(aligned, sizes), initial=SUPERBLOCK.itemsize)
             self._output = stack.enter_context(Output(target))
@@ -89,6 +89,7 @@ class Joiner:
         file.seek(0)
         begin = 0
         while begin < size:
+            safe_point()
             block = self._output.block()
             read = file.readinto(block)
             if not read or begin + read > size:
