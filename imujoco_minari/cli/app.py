@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 import json
 import math
-import multiprocessing.util
 import os
 import re
 import signal
@@ -15,6 +14,8 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
 from types import FrameType
 from typing import Annotated, Any, Protocol, TypeVar
 
@@ -45,13 +46,14 @@ FAILED, MISSING, INTERRUPTED = 1, 2, 130
 
 
 def main() -> None:
-    """Run the command line and exit with its code."""
-    interrupts: list[int] = []
+    """Run the command line and exit with its code, which is 130 after a Ctrl-C."""
+    interrupted = False
 
     def interrupt(number: int, frame: FrameType | None) -> None:
-        interrupts.append(number)
-        # Work that is stopped half-way has no useful warnings: joblib warns of the jobs that it cancels,
-        # and sometimes the thread that hands them out fails.
+        nonlocal interrupted
+        interrupted = True
+        # Interrupted work warns and fails in ways that help nobody: joblib warns of the jobs that it
+        # cancels, and the thread that hands them out may fail.
         warnings.simplefilter("ignore")
         threading.excepthook = _ignore_thread_exception
         signal.default_int_handler(number, frame)
@@ -61,26 +63,36 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         # A character that the terminal's encoding lacks is printed as an escape.
         stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
+    _name_glfw_library()
     try:
         code = run(sys.argv[1:])
     except (Exception, KeyboardInterrupt):
         # An extension module that is interrupted while it is imported raises an ImportError, and so on.
-        if not interrupts:
+        if not interrupted:
             raise
         code = INTERRUPTED
-    if code == INTERRUPTED or (code and interrupts):
-        # Everything is cleaned up by now. A normal exit of the interpreter would close interrupted HDF5
-        # files in any order and print errors. The semaphores of worker processes are released here,
-        # otherwise the resource tracker reports them as leaked.
-        multiprocessing.util._run_finalizers(0)  # type: ignore[attr-defined]
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(INTERRUPTED)
-    sys.exit(code)
+    sys.exit(INTERRUPTED if interrupted and code else code)
 
 
 def _ignore_thread_exception(raised: threading.ExceptHookArgs) -> None:
     """Ignore an exception that ended a thread after an interrupt."""
+
+
+def _name_glfw_library() -> None:
+    """Name the library that the package glfw contains, unless the user names one.
+
+    MuJoCo and Gymnasium import glfw. Without a name, glfw starts a Python process for every library that
+    it finds, to ask for its version. That takes 0.2 s, and a Ctrl-C in that time makes the process print
+    a traceback.
+    """
+    package = find_spec("glfw")
+    if package is None or package.origin is None or os.environ.get("PYGLFW_LIBRARY"):
+        return
+    window_system = os.environ.get("PYGLFW_LIBRARY_VARIANT") or os.environ.get("XDG_SESSION_TYPE", "")
+    folder = "wayland" if window_system.lower() == "wayland" else "x11"
+    library = Path(package.origin).parent / folder / "libglfw.so"
+    if library.is_file():
+        os.environ["PYGLFW_LIBRARY"] = str(library)
 
 
 def run(arguments: Sequence[str]) -> int:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from imujoco_minari.loading import Arrays
-from imujoco_minari.storage.quiet_file import writing
+from imujoco_minari.storage.quiet_file import safe_point, writing
 
 
 def write(data: Arrays, target: Path, *, states_only: bool) -> None:
@@ -30,6 +30,7 @@ def write(data: Arrays, target: Path, *, states_only: bool) -> None:
         columns["rewards"] = data.rewards.astype(np.float32)
     with writing(target, new=True) as file:
         for name, column in columns.items():
+            safe_point()
             file.create_dataset(name, data=column)
         file["infos/variant_index"] = data.variant_index
         # These are attributes because D4RL's sequence_dataset expects N entries in every array.

@@ -12,7 +12,7 @@ import numpy as np
 
 from imujoco_minari.errors import DatasetError
 from imujoco_minari.loading import Arrays
-from imujoco_minari.storage.quiet_file import writing
+from imujoco_minari.storage.quiet_file import safe_point, writing
 
 
 def write(data: Arrays, target: Path, *, states_only: bool) -> None:
@@ -34,4 +34,5 @@ def write(data: Arrays, target: Path, *, states_only: bool) -> None:
     }
     with writing(target, new=True) as file:
         for name, column in columns.items():
+            safe_point()
             file.create_dataset(name, data=column.astype(np.float32))

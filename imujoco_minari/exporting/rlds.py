@@ -25,7 +25,11 @@ _FEATURES = "tensorflow_datasets.core.features"
 
 
 def write(data: Arrays, target: Path, *, states_only: bool) -> None:
-    """Write ``data`` to the folder ``target``."""
+    """Write ``data`` to the new folder ``target``.
+
+    Raises:
+        DependencyError: when google-crc32c is not installed.
+    """
     target.mkdir()
     name = "imujoco_" + (data.table[0].variant if len(data.table) == 1 else data.table[0].robot)
     name = name.replace("-", "_")

@@ -1,7 +1,7 @@
-"""The original's archive on disk: which variants are in it, and where the three files of each are.
+"""The original's archive on disk: its variants, and the three files of each.
 
-Its three parts, ``xml``, ``policies`` and ``dataset``, are found as folders or as the zips that were
-published, in any mix, in the folder given or in its ``imujoco``. From a zip one file at a time is unpacked.
+The three parts ``xml``, ``policies`` and ``dataset`` are folders or the published zips, in any mix, in the
+given folder or in its subfolder ``imujoco``. The files of a zip are unpacked one at a time.
 """
 
 from __future__ import annotations
@@ -35,32 +35,30 @@ class Member:
 
     @contextmanager
     def on_disk(self) -> Iterator[Path]:
-        """Yield the file's path; an entry of a zip is unpacked for as long as the context lasts."""
+        """Yield the path of the file; an entry of a zip is a temporary file within the context."""
         if not self.entry:
             if not stat.S_ISREG(self.path.lstat().st_mode):
-                raise DatasetError(f"{self.path}: refused, for it is a link or another special file")
+                raise DatasetError(f"{self.path}: is a link or another special file; valid: a plain file")
             yield self.path
             return
         with tempfile.TemporaryDirectory(prefix="imujoco-") as folder:
-            target = Path(folder) / self.entry.rpartition("/")[2]
+            target = Path(folder) / f"entry{Path(self.entry).suffix}"
             with open_zip(self.path) as archive:
                 size = archive.getinfo(self.entry).file_size
                 if size > shutil.disk_usage(folder).free:
-                    raise StorageError(
-                        f"{self}: needs {size} bytes in {folder}, which has not that many free"
-                    )
+                    raise StorageError(f"{self}: needs {size} bytes in {folder}, which has fewer free")
                 unpack(archive, self.entry, target)
             yield target
 
 
 @dataclass(frozen=True)
 class Archive:
-    """What an archive holds.
+    """The files of an archive.
 
     Attributes:
-        place: the folder it was found in.
+        place: the folder of the archive.
         files: variant -> part (``xml``, ``policies``, ``dataset``) -> file.
-        ignored: names of files in its parts that name no variant.
+        ignored: the files of its parts whose names are not those of a variant.
     """
 
     place: Path
@@ -69,14 +67,14 @@ class Archive:
 
     @property
     def variants(self) -> tuple[OriginalVariant, ...]:
-        """The variants of which the archive has at least one file, sorted."""
+        """The variants that have at least one file in the archive, sorted."""
         return tuple(sorted(self.files))
 
     def member(self, variant: OriginalVariant, part: str) -> Member:
         """Return a variant's file of a part.
 
         Raises:
-            DatasetNotFoundError: when the archive has none.
+            DatasetNotFoundError: when the archive has no such file.
         """
         found = self.files.get(variant, {}).get(part)
         if found is None:
@@ -87,11 +85,11 @@ class Archive:
         return found
 
     def mjcf(self, variant: OriginalVariant) -> tuple[str, str]:
-        """Return the text of a variant's model as it is in the archive, and its canonical text.
+        """Return the MJCF text of a variant as it is in the archive, and the canonical text.
 
         Raises:
             DatasetNotFoundError: when the archive has no model of the variant.
-            ModelError: when the model is unsafe, does not compile, or is none of the robot.
+            ModelError: when the model is unsafe, does not compile, or is not a model of the robot.
         """
         member = self.member(variant, "xml")
         with member.on_disk() as path, path.open("rb") as file:
@@ -101,11 +99,11 @@ class Archive:
 
 
 def open_archive(place: Path) -> Archive:
-    """Return what the archive in the folder ``place`` holds.
+    """Return the archive in the folder ``place``.
 
     Raises:
-        DatasetNotFoundError: when there is no such folder, or none of the three parts is in it.
-        DatasetError: when a zip holds an entry that is refused.
+        DatasetNotFoundError: when the folder does not exist, or has none of the three parts.
+        DatasetError: when a zip is broken or too large.
     """
     if not place.is_dir():
         raise DatasetNotFoundError(f"no folder at {place}")
@@ -135,7 +133,7 @@ def open_archive(place: Path) -> Archive:
 
 
 def _part(root: Path, part: str) -> list[Member] | None:
-    """Return the files of a part, from its folder or else its zip; None where there is neither."""
+    """Return the files of a part, from its folder or else its zip; None when neither exists."""
     folder, zipped = root / part, root / f"{part}.zip"
     if folder.is_dir():
         return [Member(path) for path in sorted(folder.iterdir()) if not path.is_dir()]

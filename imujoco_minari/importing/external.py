@@ -1,11 +1,12 @@
-"""Other people's data of the three robots, as a tier of a variant: Minari, D4RL's HDF5, ``.npz``.
+"""Data of the three robots from elsewhere, as a tier of a variant: Minari, D4RL's HDF5, ``.npz``.
 
-A source is read as plain arrays. Nothing in it is unpickled or executed, its environment is not made,
-and links to other files are not followed.
+Only plain arrays are read. Nothing is unpickled or executed, no environment of the data is made, and links
+to other files are not followed.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ from imujoco_minari.envs.registration import environment_spec
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError
 from imujoco_minari.importing.columns import ARRAY, read_table
 from imujoco_minari.importing.physics import Fidelity, Physics
-from imujoco_minari.importing.safe_unpack import MAX_ENTRY_BYTES, Array, one_of, read_npz
+from imujoco_minari.importing.safe_unpack import Allowance, Array, one_of, read_npz
 from imujoco_minari.importing.transitions import Transitions, checked, cut, episodes, fidelity
 from imujoco_minari.policies.references import reference_scores
 from imujoco_minari.publishing.publisher import NewDataset, Published, publish_episodes
@@ -28,7 +29,7 @@ from imujoco_minari.storage.metadata import provenance, read_metadata
 from imujoco_minari.variants import Variant
 from imujoco_minari.verification.child_process import survives_walk
 
-# The names by which flat files go, D4RL's first.
+# The names of an array in flat files, D4RL's first.
 _NAMES = {
     "observations": ("observations", "observation", "obs", "states"),
     "actions": ("actions", "action", "acts", "act"),
@@ -42,13 +43,13 @@ _NAMES = {
 
 @dataclass(frozen=True)
 class Source:
-    """What was read of a source.
+    """The content of a source.
 
     Attributes:
-        kind: what it is, for the description.
+        kind: the kind of the source, for the description.
         transitions: its steps.
-        columns: how its table was read; empty where its arrays have names.
-        algorithm: the algorithm that it states; empty when it states none.
+        columns: the layout of its table; empty when its arrays have names.
+        algorithm: the algorithm that it states, or an empty string.
         authors: the authors that it states.
     """
 
@@ -61,7 +62,7 @@ class Source:
 
 @dataclass(frozen=True)
 class Imported:
-    """What became of an import, and how far its steps are from the variant's simulation."""
+    """The outcome of an import, and the difference between its steps and the variant's simulation."""
 
     published: Published
     one_step: Fidelity
@@ -75,13 +76,13 @@ def import_dataset(
 
     Args:
         source: a Minari dataset's id or folder, or an HDF5 (D4RL's layout) or ``.npz`` file.
-        variant: the variant whose data they are said to be.
-        tier: under which they are published.
-        columns: the columns of the file's table, where it is one and the user states them.
+        variant: the variant that the data belong to.
+        tier: the tier of the published dataset.
+        columns: the columns of the file's table, when the user states them.
         force: replace a dataset that has the id.
 
     Raises:
-        ImujocoError: when the source is missing, is not what it must be, or does not fit the robot.
+        ImujocoError: when the source is missing, malformed or too large, or does not fit the robot.
     """
     dataset_id = variant.dataset_id(tier)
     read = read_source(source, variant.robot, columns)
@@ -118,7 +119,7 @@ def read_source(source: str, robot: str, columns: str | None = None) -> Source:
     """Return the steps of a source that :func:`import_dataset` takes.
 
     Raises:
-        ImujocoError: when it is missing, is not what it must be, or does not fit the robot.
+        ImujocoError: when it is missing, malformed or too large, or does not fit the robot.
     """
     path = Path(source)
     if path.is_dir():
@@ -152,17 +153,17 @@ def _npz(path: Path, robot: str, columns: str | None) -> Source:
 
 
 def _d4rl(path: Path, robot: str) -> Source:
+    allowance = Allowance()
     with _opened(path) as file:
-        arrays = {
-            name: _array(file, name, str(path)) for names in _NAMES.values() for name in names if name in file
-        }
+        known = [name for names in _NAMES.values() for name in names if name in file]
+        arrays = {name: _array(file, name, str(path), allowance) for name in known}
         if not arrays and "episode_0" in file:
             raise DatasetError(f"{path}: is a Minari dataset's file: give the dataset's folder, or its id")
     return Source("a D4RL HDF5 file", checked(_flat(arrays, str(path)), robot, str(path)))
 
 
 def _flat(arrays: Mapping[str, Array], name: str) -> Transitions:
-    """Return the transitions of arrays of one length, whatever they are called."""
+    """Return the transitions of arrays of one length, under any of their known names."""
     found = {key: one_of(arrays, *names) for key, names in _NAMES.items()}
     observations, actions = found["observations"], found["actions"]
     if observations is None or actions is None:
@@ -192,14 +193,14 @@ def _minari(folder: Path, robot: str) -> Source:
     if not path.is_file():
         raise DatasetError(f"{folder}: holds no Minari dataset in HDF5, no {file_format.MAIN_FILE}")
     metadata = read_metadata(data)
-    parts = []
+    parts, allowance = [], Allowance()
     with _opened(path) as file:
         for number in range(len(file)):
             name = f"episode_{number}"
             group = file.get(name) if isinstance(file.get(name, getlink=True), h5py.HardLink) else None
             if not isinstance(group, h5py.Group):
                 raise DatasetError(f"{folder}: {name} is missing, or lies in another file")
-            parts.append(_episode(group, f"{folder}: {name}", robot))
+            parts.append(_episode(group, f"{folder}: {name}", robot, allowance))
     if not parts:
         raise DatasetError(f"{folder}: holds no episode")
     joined = {
@@ -223,8 +224,8 @@ def _minari(folder: Path, robot: str) -> Source:
     )
 
 
-def _episode(group: h5py.Group, name: str, robot: str) -> Transitions:
-    arrays = {key: _array(group, key, name) for key in file_format.ARRAYS}
+def _episode(group: h5py.Group, name: str, robot: str, allowance: Allowance) -> Transitions:
+    arrays = {key: _array(group, key, name, allowance) for key in file_format.ARRAYS}
     observations, length = arrays["observations"], len(arrays["rewards"])
     if len(observations) != length + 1 or not length:
         raise DatasetError(f"{name}: has {len(observations)} observations for {length} steps, not one more")
@@ -258,15 +259,29 @@ def _opened(path: Path) -> Iterator[h5py.File]:
         raise DatasetError(f"{path}: cannot be read as HDF5: {' '.join(str(error).split())[:200]}") from None
 
 
-def _array(group: h5py.Group, name: str, where: str) -> Array:
-    """Return one array of an HDF5 group, looked at before it is read."""
+def _array(group: h5py.Group, name: str, where: str, allowance: Allowance) -> Array:
+    """Return one array of an HDF5 group, checked before it is read."""
     array = group.get(name) if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
     if not isinstance(array, h5py.Dataset):
-        raise DatasetError(f"{where}: {name} is no array here")
+        raise DatasetError(f"{where}: {name} is not an array of this file")
     if array.is_virtual or array.external:
         raise DatasetError(f"{where}: {name} takes its values from another file")
     if array.shape is None or array.dtype.kind not in "fiub":
         raise DatasetError(f"{where}: {name} holds {str(array.dtype)[:40]}, not numbers")
-    if array.nbytes > MAX_ENTRY_BYTES:
-        raise DatasetError(f"{where}: {name} claims {array.nbytes} bytes; the limit is {MAX_ENTRY_BYTES}")
+    # HDF5 reads a whole chunk, which may be larger than the array.
+    chunk = array.chunks or (0,)
+    allowance.take(max(array.size, math.prod(chunk)), f"{where}: {name}")
+    if not _is_stored(array):
+        raise DatasetError(f"{where}: {name} claims {array.size} numbers, more than the file stores")
     return np.asarray(array[()])
+
+
+def _is_stored(array: h5py.Dataset) -> bool:
+    """Return whether the file stores all values of an array; HDF5 reads the others as fill values."""
+    if array.chunks is None:
+        return bool(array.id.get_storage_size() >= array.nbytes)
+    # The chunks may be compressed, so their size tells nothing.
+    chunks = math.prod(
+        math.ceil(length / step) for length, step in zip(array.shape, array.chunks, strict=True)
+    )
+    return bool(array.id.get_num_chunks() >= chunks)

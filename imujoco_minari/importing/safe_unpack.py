@@ -1,15 +1,15 @@
-"""Zips from outside, read within bounds: no path may leave its folder, nothing may fill memory or disk.
+"""Zips and ``.npz`` files from outside, read within bounds.
 
-Sizes are checked as the zip states them, before anything is unpacked; ``zipfile`` gives no more than an
-entry states. Arrays of an ``.npz`` are checked against their header before they are allocated.
+A zip states the size of each entry, and ``zipfile`` never returns more. So all sizes are checked before
+anything is unpacked. The header of an array is checked before memory is allocated for the array. The name
+of an entry never decides where a file is written: the caller names the target.
 """
 
 from __future__ import annotations
 
 import errno
-import re
+import math
 import shutil
-import stat
 import struct
 import tokenize
 import zipfile
@@ -27,12 +27,13 @@ from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoErr
 Array = NDArray[Any]
 
 MAX_ENTRIES = 10_000
-# The original's dataset.zip has 2.7 GB for 154 variants, 100,000 rows each.
+# The original's dataset.zip has 2.7 GB for 154 variants. Its entries are unpacked one at a time.
 MAX_ENTRY_BYTES = 2**30
 MAX_TOTAL_BYTES = 64 * 2**30
+# The arrays of one input are in memory together, as float64: 1 GiB, three million steps of HalfCheetah.
+MAX_NUMBERS = 2**27
 
-_DEVICES = re.compile(r"(?:con|prn|aux|nul|com[0-9]|lpt[0-9])(?:\..*)?", re.IGNORECASE)
-# What zipfile and NumPy were seen to raise of broken files; fuzzing found the last three.
+# The exceptions of zipfile and NumPy for broken files. Fuzzing found the last three.
 _BROKEN = (
     zipfile.BadZipFile,
     zlib.error,
@@ -47,24 +48,43 @@ _BROKEN = (
 )
 
 
+class Allowance:
+    """How many numbers may still be read of one input, all its arrays together."""
+
+    def __init__(self) -> None:
+        self._left = MAX_NUMBERS
+
+    def take(self, count: int, name: str) -> None:
+        """Take ``count`` numbers for the array ``name``.
+
+        Raises:
+            DatasetError: when so many are not left.
+        """
+        if not 0 <= count <= self._left:
+            raise DatasetError(
+                f"{name} claims {count} numbers; the arrays of one import may have {MAX_NUMBERS} together"
+            )
+        self._left -= count
+
+
 @contextmanager
-def open_zip(path: Path) -> Iterator[zipfile.ZipFile]:
-    """Open a zip whose every entry is a plain file or folder, within the zip's own tree and within bounds.
+def open_zip(path: Path, max_bytes: int = MAX_TOTAL_BYTES) -> Iterator[zipfile.ZipFile]:
+    """Open a zip whose entries unpack to ``max_bytes`` at most, all together.
 
     Raises:
-        DatasetNotFoundError: when there is no such file.
-        DatasetError: when it is no zip, or holds an entry that is refused; nothing is read of it then.
+        DatasetNotFoundError: when the file does not exist.
+        DatasetError: when it is no zip, or is too large; then nothing of it has been read.
     """
     if not path.is_file():
         raise DatasetNotFoundError(f"no file at {path}")
     try:
         with zipfile.ZipFile(path) as archive:
-            _check(archive, path)
+            _check_sizes(archive, path, max_bytes)
             yield archive
     except ImujocoError:
         raise
     except (*_BROKEN, OSError) as error:
-        # A place before the file's beginning, which a broken directory of entries can name, is invalid.
+        # A broken directory of entries can name an offset before the file's beginning: EINVAL.
         if isinstance(error, OSError) and error.errno != errno.EINVAL:
             raise
         raise DatasetError(f"{path}: not a readable zip: {' '.join(str(error).split())[:200]}") from None
@@ -80,22 +100,22 @@ def read_npz(path: Path) -> dict[str, Array]:
     """Return the arrays of an ``.npz`` file by name, without unpickling anything.
 
     Raises:
-        DatasetNotFoundError: when there is no such file.
-        DatasetError: when it is no ``.npz`` of numbers, or claims more than a dataset of ours can have.
+        DatasetNotFoundError: when the file does not exist.
+        DatasetError: when it is no ``.npz`` of numbers, or its arrays are too large together.
     """
-    arrays = {}
-    with open_zip(path) as archive:
+    arrays, allowance = {}, Allowance()
+    with open_zip(path, MAX_ENTRY_BYTES) as archive:
         for info in archive.infolist():
             if info.filename.endswith(".npy"):
                 name = info.filename.removesuffix(".npy")
                 with archive.open(info) as stream:
-                    arrays[name] = _read_npy(stream, info.file_size, f"{path}: {name[:80]!r}")
+                    arrays[name] = _read_npy(stream, info.file_size, f"{path}: {name[:80]!r}", allowance)
     if not arrays:
         raise DatasetError(f"{path}: holds no array")
     return arrays
 
 
-def _read_npy(stream: IO[bytes], size: int, name: str) -> Array:
+def _read_npy(stream: IO[bytes], size: int, name: str, allowance: Allowance) -> Array:
     version = np.lib.format.read_magic(stream)
     if version == (1, 0):
         shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
@@ -105,54 +125,31 @@ def _read_npy(stream: IO[bytes], size: int, name: str) -> Array:
         raise DatasetError(f"{name} is of the .npy version {version}; valid: (1, 0), (2, 0)")
     if dtype.kind not in "fiub":
         raise DatasetError(f"{name} is of type {str(dtype)[:40]}, not of numbers")
-    nbytes = dtype.itemsize
-    for length in shape:
-        nbytes *= length
+    nbytes = dtype.itemsize * math.prod(shape)
     if not 0 <= nbytes <= size:
         raise DatasetError(f"{name} claims {nbytes} bytes, but its entry has {size}")
+    allowance.take(math.prod(shape), name)
     data = stream.read(nbytes)
     if len(data) != nbytes:
         raise DatasetError(f"{name} ends after {len(data)} of {nbytes} bytes")
     return np.frombuffer(data, dtype).reshape(shape, order="F" if fortran else "C")
 
 
-def _check(archive: zipfile.ZipFile, path: Path) -> None:
+def _check_sizes(archive: zipfile.ZipFile, path: Path, max_bytes: int) -> None:
     infos = archive.infolist()
     if len(infos) > MAX_ENTRIES:
         raise DatasetError(f"{path}: holds {len(infos)} entries; the limit is {MAX_ENTRIES}")
-    seen: set[str] = set()
     for info in infos:
-        reason = _refusal(info) or ("is there twice" if info.filename.lower() in seen else "")
-        if reason:
-            raise DatasetError(f"{path}: refused, for its entry {info.orig_filename[:120]!r} {reason}")
-        seen.add(info.filename.lower())
+        if info.file_size > MAX_ENTRY_BYTES:
+            raise DatasetError(
+                f"{path}: its entry {info.orig_filename[:120]!r} would unpack to {info.file_size} bytes; "
+                f"the limit is {MAX_ENTRY_BYTES}"
+            )
     total = sum(info.file_size for info in infos)
-    if total > MAX_TOTAL_BYTES:
-        raise DatasetError(f"{path}: would unpack to {total} bytes; the limit is {MAX_TOTAL_BYTES}")
-
-
-def _refusal(info: zipfile.ZipInfo) -> str:
-    """Return why an entry is refused; empty when it is not."""
-    name = info.orig_filename
-    parts = name.removesuffix("/").split("/")
-    if name.startswith(("/", "\\")) or re.match(r"[A-Za-z]:", name):
-        return "has an absolute path"
-    if ".." in parts or "\\" in name:
-        return "has a path that could leave the folder"
-    if any(not part or part == "." or len(part) > 255 for part in parts) or not name.isprintable():
-        return "has a malformed path"
-    if any(_DEVICES.fullmatch(part) for part in parts):
-        return "is named as a device"
-    kind = stat.S_IFMT(info.external_attr >> 16)
-    if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
-        return "is a link or another special file"
-    if info.flag_bits & 0x1:
-        return "is encrypted"
-    if info.file_size > MAX_ENTRY_BYTES:
-        return f"would unpack to {info.file_size} bytes; the limit is {MAX_ENTRY_BYTES}"
-    return ""
+    if total > max_bytes:
+        raise DatasetError(f"{path}: would unpack to {total} bytes; the limit is {max_bytes}")
 
 
 def one_of(arrays: Mapping[str, Array], *names: str) -> Array | None:
-    """Return the first of the arrays that goes by one of ``names``; None when none does."""
+    """Return the first array that has one of ``names``, or None."""
     return next((arrays[name] for name in names if name in arrays), None)

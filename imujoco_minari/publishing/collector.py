@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from imujoco_minari.envs.registration import make
 from imujoco_minari.policies import LANES, Policy
 from imujoco_minari.policies.rollouts import episode_seed, roll_out_together
+from imujoco_minari.storage.quiet_file import safe_point
 from imujoco_minari.storage.writer import EpisodeStorage, new_storage
 from imujoco_minari.variants import Variant
 
@@ -53,6 +54,7 @@ class StorageCollector(DataCollector):  # type: ignore[misc]
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Step the environment and record the transition."""
+        safe_point()
         observation, reward, terminated, truncated, info = self.env.step(action)
         buffer = self._buffer
         assert buffer is not None, "reset() comes before step()"

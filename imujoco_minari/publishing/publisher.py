@@ -175,8 +175,10 @@ def publish_episodes(
         env = gym.make(spec)
         storage = new_storage(staged / "data", env, dataset.attributes)
         env.close()
-        storage.update_episodes(episodes)
-        storage.flush()
+        try:
+            storage.update_episodes(episodes)
+        finally:
+            storage.flush()
         created = _commit(staged, dataset, force)
     return _summary(dataset_id, created=created, seconds=time.monotonic() - start)
 

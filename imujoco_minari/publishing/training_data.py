@@ -64,7 +64,8 @@ def record_training(
         run.train(on_interval)
     finally:
         run.close()
-    storages[0].flush()
+        for storage in storages:
+            storage.flush()
     dataset_id = task.variant.dataset_id(REPLAY)
     dataset = NewDataset(
         dataset_id,

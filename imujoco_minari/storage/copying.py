@@ -17,6 +17,7 @@ from h5py import h5a, h5g, h5l, h5o
 
 from imujoco_minari.errors import DatasetError
 from imujoco_minari.storage import file_format
+from imujoco_minari.storage.quiet_file import safe_point
 from imujoco_minari.storage.writer import read_text, write_attribute
 
 _DIGEST = file_format.DIGEST.encode()
@@ -43,6 +44,7 @@ def copy_episodes(source: h5py.File, episodes: Sequence[int], target: h5py.File,
     """
     steps, digests = 0, []
     for place, number in enumerate(episodes, start=len(target)):
+        safe_point()
         name = b"episode_%d" % place
         h5o.copy(source.id, b"episode_%d" % number, target.id, name)
         group = h5g.open(target.id, name)

@@ -1,20 +1,24 @@
-"""HDF5 files written so that a full disk is an ordinary error.
+"""HDF5 files, written so that a full disk and a Ctrl-C are ordinary errors.
 
-HDF5 cannot close a file that it cannot write to the end: it complains at every object that is let go,
-and crashes as the process ends. So it writes through a file of ours, which keeps the first failure to
-itself, and the failure is raised when HDF5 has closed the file in peace. Nor can a Ctrl-C pass through
-HDF5, which calls our file: one that comes at such a moment comes again a moment later.
+**A full disk.** HDF5 cannot close a file whose last bytes it cannot write: it prints an error for every
+open object, and the process crashes when it ends. So HDF5 writes to a Python file of this module. That file
+keeps the first failure, and accepts and drops everything after it. The failure is raised once HDF5 has
+closed the file.
+
+**Ctrl-C.** Python calls the handler of SIGINT between any two lines of Python code, and the handler raises
+KeyboardInterrupt. Within the Python file, the exception would have to pass through HDF5's C code, which
+loses it. Within ``h5py.File.close``, it would leave a half-closed file. So while a file is open for
+writing, a handler is installed that only notes the signal. The noted signal is raised at the next *safe
+point*: a call of :func:`safe_point`, which the loops over steps and episodes make, or the end of
+:func:`writing`.
 """
 
 from __future__ import annotations
 
-import _thread
-import inspect
 import io
 import signal
 import threading
-import weakref
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
@@ -23,8 +27,57 @@ from typing import Any
 import h5py
 
 
+class _InterruptNote:
+    """A handler of SIGINT that notes the signal for the handler that it stands in for."""
+
+    def __init__(self, handler: Callable[[int, FrameType | None], Any]) -> None:
+        self._handler, self._noted = handler, False
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        self._noted = True
+
+    def hand_on(self) -> None:
+        """Call the other handler, which raises KeyboardInterrupt, if a signal was noted."""
+        if self._noted:
+            self._noted = False
+            self._handler(signal.SIGINT, None)
+
+
+@contextmanager
+def delayed_interrupts() -> Iterator[None]:
+    """Delay a Ctrl-C to the next :func:`safe_point`, or to the end of the ``with`` block."""
+    handler = signal.getsignal(signal.SIGINT)
+    # Python handles signals in the main thread only. SIG_DFL and SIG_IGN raise nothing. In a block within
+    # a block, the outer one delays.
+    if not _in_main_thread() or not callable(handler) or isinstance(handler, _InterruptNote):
+        yield
+        return
+    note = _InterruptNote(handler)
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
+        note.hand_on()
+
+
+def safe_point() -> None:
+    """Raise the delayed Ctrl-C, if one came. Takes less than a microsecond.
+
+    Raises:
+        KeyboardInterrupt: when a SIGINT came within :func:`delayed_interrupts`.
+    """
+    handler = signal.getsignal(signal.SIGINT)
+    if isinstance(handler, _InterruptNote) and _in_main_thread():
+        handler.hand_on()
+
+
+def _in_main_thread() -> bool:
+    return threading.current_thread() is threading.main_thread()
+
+
 class _QuietFile(io.FileIO):
-    """A file whose writes never fail: the first failure is kept, and nothing is written after it."""
+    """A file whose writes never fail: it keeps the first failure, and drops everything after it."""
 
     failure: OSError | None = None
 
@@ -50,63 +103,23 @@ class _QuietFile(io.FileIO):
         self.failure = error
 
 
-# Code that an interrupt must not leave by an exception: HDF5 calls it, it opens or closes the file, or
-# it is called as an object goes, when Python would print the exception and go on.
-_UNDISTURBED = {
-    inspect.unwrap(function).__code__
-    for function in (_QuietFile.write, _QuietFile.truncate, h5py.File.__init__, h5py.File.close)
-}
-_UNDISTURBED_FILE = weakref.__file__
-
-
-@contextmanager
-def polite_interrupts() -> Iterator[None]:
-    """Handle an interrupt at once, or, where its exception would pass through HDF5, a moment later."""
-    handler = signal.getsignal(signal.SIGINT)
-    # Only the main thread may set a handler, and only where there is one does an exception come of it.
-    if threading.current_thread() is not threading.main_thread() or not callable(handler):
-        yield
-        return
-    handle, again = handler, list[threading.Timer]()
-
-    def interrupt(signal_number: int, frame: FrameType | None) -> None:
-        inner = frame
-        while inner is not None:
-            if inner.f_code in _UNDISTURBED or inner.f_code.co_filename == _UNDISTURBED_FILE:
-                again.append(threading.Timer(0.01, _thread.interrupt_main, [signal_number]))
-                again[-1].start()
-                return
-            inner = inner.f_back
-        again.clear()
-        handle(signal_number, frame)
-
-    signal.signal(signal.SIGINT, interrupt)
-    try:
-        try:
-            yield
-        finally:
-            # The last may still be on its way, and is due here.
-            while again:
-                again.pop().join()
-    finally:
-        signal.signal(signal.SIGINT, handler)
-
-
 @contextmanager
 def writing(path: Path, *, new: bool = False) -> Iterator[h5py.File]:
-    """Open an HDF5 file to add to it, or, with ``new`` or where it is empty, to write it from its beginning.
+    """Open an HDF5 file to add to it, or to write it anew with ``new`` or when it is empty.
+
+    A Ctrl-C is delayed until the file is closed or :func:`safe_point` is called.
 
     Raises:
         OSError: when something could not be written, at the latest when the file is closed.
     """
     new = new or path.stat().st_size == 0
-    with polite_interrupts(), _QuietFile(path, "w+" if new else "r+") as raw:
+    with delayed_interrupts(), _QuietFile(path, "w+" if new else "r+") as raw:
         try:
             # Minari's own files remember the order in which episodes were added, too.
             with h5py.File(raw, "w" if new else "r+", track_order=True) as file:
                 yield file
         except Exception:
-            # What was not written cannot be read back, and HDF5 may have stumbled over that.
+            # After a failed write, HDF5 cannot read back what was dropped, and raises errors of its own.
             if raw.failure is None:
                 raise
         if raw.failure is not None:

@@ -23,7 +23,7 @@ from minari.dataset.minari_storage import MinariStorage
 from numpy.typing import NDArray
 
 from imujoco_minari.storage import file_format
-from imujoco_minari.storage.quiet_file import writing
+from imujoco_minari.storage.quiet_file import safe_point, writing
 
 _SCALAR = h5s.create(h5s.SCALAR)
 _TEXT = h5py.string_dtype()
@@ -54,6 +54,7 @@ class EpisodeStorage(HDF5Storage):  # type: ignore[misc]
             self._episodes, self._steps = metadata["total_episodes"], metadata["total_steps"]
             self._file = self._open.enter_context(writing(self._file_path))
         for buffer in episodes:
+            safe_point()
             arrays = {key: np.asarray(getattr(buffer, key)) for key in file_format.ARRAYS}
             length = len(arrays["rewards"])
             attributes = {"id": self._episodes, "total_steps": length, **self.attributes}

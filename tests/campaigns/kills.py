@@ -48,8 +48,7 @@ sys.argv = ["imujoco", "train", "hopper-massinc_37_torsogeom", "--scratch", "--s
 main()
 """
 CLI = ("-m", "imujoco_minari")
-# In the traceback of an interrupt that came before the command line had begun, or to the child process
-# that glfw, which MuJoCo imports, asks for its version.
+# In the traceback of an interrupt that came before the command line had begun.
 BEGINNING = (
     "init_import_site",
     "imujoco_minari/__init__.py",

@@ -1,7 +1,6 @@
-"""The back ends beyond this process, on a real Ray cluster of two nodes, and a Dask cluster if there is one.
+"""Publishing and verifying on a real Ray cluster of two nodes; ``scripts/test-ray`` runs it.
 
-Publishes and verifies through the cluster into one Minari root, kills workers and a whole node in the
-middle, and compares what came out with what one process makes. Run by ``scripts/test-ray``.
+Workers are killed, and a whole node goes down. The datasets must be those that one process makes.
 """
 
 from __future__ import annotations
@@ -66,6 +65,12 @@ def main() -> None:
     alone = {outcome.dataset_id: outcome for outcome in publish_all(RECIPES)}
     for folder in root.iterdir():
         folder.rename(root.parent / f"alone-{folder.name}")
+
+    os.environ.pop("RAY_ADDRESS", None)
+    try:
+        next(run_jobs(where, [0.0], backend="ray"))
+    except JobError as error:
+        say("without a cluster, the error has one line", len(str(error).splitlines()) == 1)
 
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
     second = cluster.add_node(num_cpus=1)

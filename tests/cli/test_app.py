@@ -51,7 +51,8 @@ def test_publish_verify_combine(capsys: pytest.CaptureFixture[str], root: Path) 
     assert captured.out.count("published imujoco/hopper-friction") == 3
     assert captured.err.startswith("3 datasets: about ")
     assert captured.err.endswith("published 3, failed 0\n")
-    assert run(["publish", "hopper-frictiondec_50_feet", "--tier", "random"]) == 0
+    again = ["publish", "hopper-frictiondec_50_feet", "--tier", "random"]
+    assert run([*again, "--episodes", "2"]) == 0
     assert "left alone imujoco/hopper-frictiondec_50_feet-random-v0" in capsys.readouterr().out
     assert run(["combine", "--robot", "hopper", "--tier", "random"]) == 0
     assert "combined 3 datasets into imujoco/hopper-all-random-v0: 6 episodes" in capsys.readouterr().out

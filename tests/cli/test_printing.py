@@ -142,7 +142,7 @@ def test_folders_are_named_as_they_are(
     monkeypatch.setenv("IMUJOCO_HOME", str(place / "home"))
     shown = printable(tmp_path / folder)
     for arguments, code in (
-        (["publish", "hopper-base", "-t", "random"], 0),
+        (["publish", "hopper-base", "-t", "random", "-n", "8"], 0),
         (["list", "--robot", "hopper"], 0),
         (["policies", "--robot", "hopper"], 0),
         (["export", BASE_ID, "--format", "npz", "--output", str(place / "x.npz")], 0),

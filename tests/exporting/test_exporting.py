@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import json
 import struct
+import sys
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from synthetic_arrays import BASE, LEG, synthetic
 
 from imujoco_minari.cli.app import run
 from imujoco_minari.errors import DatasetError, DatasetExistsError, DependencyError, StorageError
 from imujoco_minari.exporting import FORMATS, default_target, export, lerobot, rlds
-from imujoco_minari.exporting.tfrecord import crc32c, example, record
+from imujoco_minari.exporting.tfrecord import example, record
 from imujoco_minari.loading import Arrays, arrays
 from imujoco_minari.storage.targets import new_target
 
@@ -82,27 +81,18 @@ def test_npz_has_the_originals_columns(data: Arrays, tmp_path: Path) -> None:
     assert rows.shape == (14, 10)
 
 
-@pytest.mark.parametrize(
-    ("message", "expected"), [(b"123456789", 0xE3069283), (bytes(32), 0x8A9136AA), (b"", 0)]
-)
-def test_crc32c_gives_the_published_values(message: bytes, expected: int) -> None:
-    assert crc32c(message) == expected
-
-
-@given(st.integers(0, 3000), st.integers(0, 2**32))
-def test_crc32c_of_any_length_is_the_bitwise_one(length: int, seed: int) -> None:
-    message = np.random.default_rng(seed).bytes(length)
-    expected = 0xFFFFFFFF
-    for byte in message:
-        expected ^= byte
-        for _ in range(8):
-            expected = expected >> 1 ^ (0x82F63B78 if expected & 1 else 0)
-    assert crc32c(message) == expected ^ 0xFFFFFFFF
-
-
 def test_a_record_has_the_header_that_tensorflow_writes() -> None:
     # Length and its masked checksum as TensorFlow 2.21 wrote them for a message of 383 bytes.
     assert record(bytes(383))[:12].hex() == "7f0100000000000056898a13"
+
+
+def test_rlds_without_its_package_names_the_extra(
+    data: Arrays, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "google_crc32c", None)
+    with pytest.raises(DependencyError, match=r'run `pip install "imujoco-minari\[rlds\]"`$'):
+        export(data, "rlds", tmp_path / "x")
+    assert not list(tmp_path.iterdir())
 
 
 def test_an_example_has_the_bytes_that_tensorflow_writes() -> None:

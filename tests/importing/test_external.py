@@ -19,6 +19,7 @@ from minari import DataCollector
 from imujoco_minari import publish, verify
 from imujoco_minari.cli.app import run
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError
+from imujoco_minari.importing import safe_unpack
 from imujoco_minari.importing.external import import_dataset, read_source
 from imujoco_minari.storage import file_format
 from imujoco_minari.variants import Variant
@@ -225,7 +226,7 @@ def test_what_lies_in_other_files_is_not_read(tmp_path: Path, root: Path) -> Non
     path = write_hdf5(tmp_path / "link.hdf5", arrays)
     with h5py.File(path, "a") as file:
         file["observations"] = h5py.ExternalLink("secret.hdf5", "observations")
-    with pytest.raises(DatasetError, match="observations is no array here"):
+    with pytest.raises(DatasetError, match="observations is not an array of this file"):
         read_source(str(path), "hopper")
     path = write_hdf5(tmp_path / "virtual.hdf5", arrays)
     with h5py.File(path, "a") as file:
@@ -236,12 +237,60 @@ def test_what_lies_in_other_files_is_not_read(tmp_path: Path, root: Path) -> Non
         read_source(str(path), "hopper")
 
 
-def test_arrays_that_claim_too_much_are_refused_unread(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            {"shape": (10**12, 11), "chunks": (1, 11)},
+            "claims 11000000000000 numbers; the arrays",
+        ),
+        ({"shape": (10**7, 11), "chunks": (10**4, 11)}, "more than the file stores"),
+        ({"shape": (10**7, 11), "chunks": (10**4, 11), "compression": "gzip"}, "more than the file stores"),
+        ({"shape": (10**7, 11)}, "more than the file stores"),
+        ({"shape": (3, 11), "chunks": (10**8, 11), "maxshape": (None, 11)}, "claims 1100000000 numbers"),
+    ],
+)
+def test_arrays_that_claim_too_much_are_refused_unread(
+    tmp_path: Path, options: dict[str, Any], message: str
+) -> None:
     path = write_hdf5(tmp_path / "large.hdf5", {"actions": np.zeros((3, 3)), "terminals": np.zeros(3)})
     with h5py.File(path, "a") as file:
-        file.create_dataset("observations", shape=(10**12, 11), dtype="f8", chunks=(1, 11))
-    with pytest.raises(DatasetError, match="claims 88000000000000 bytes"):
+        # Not one of its values is written.
+        file.create_dataset("observations", dtype="f4", **options)
+    assert path.stat().st_size < 10_000
+    with pytest.raises(DatasetError, match=message):
         read_source(str(path), "hopper")
+
+
+def test_the_arrays_of_a_file_are_bounded_together(
+    tmp_path: Path, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arrays = flat(table())
+    numbers = sum(array.size for array in arrays.values())
+    path = write_hdf5(tmp_path / "d4rl.hdf5", arrays)
+    # Two episodes that share the storage of one.
+    publish("hopper-base", tier="random", episodes=1)
+    folder = root / "imujoco" / "hopper-base-random-v0"
+    with h5py.File(file_format.main_file(folder / "data"), "a") as file:
+        file["episode_1"] = file["episode_0"]
+        values = sum(file["episode_0"][name].size for name in KEYS)
+    monkeypatch.setattr(safe_unpack, "MAX_NUMBERS", numbers)
+    read_source(str(path), "hopper")
+    monkeypatch.setattr(safe_unpack, "MAX_NUMBERS", numbers - 1)
+    with pytest.raises(DatasetError, match="the arrays of one import may have"):
+        read_source(str(path), "hopper")
+    monkeypatch.setattr(safe_unpack, "MAX_NUMBERS", 2 * values - 1)
+    with pytest.raises(DatasetError, match=r"episode_1: .* the arrays of one import may have"):
+        read_source(str(folder), "hopper")
+
+
+def test_compressed_arrays_are_read(tmp_path: Path) -> None:
+    arrays = flat(table())
+    with h5py.File(tmp_path / "d4rl.hdf5", "w") as file:
+        for name, array in arrays.items():
+            file.create_dataset(name, data=array, compression="gzip")
+    read = read_source(str(tmp_path / "d4rl.hdf5"), "hopper").transitions
+    np.testing.assert_array_equal(read.observations, arrays["observations"].astype(np.float64))
 
 
 def test_a_foreign_environment_is_never_made(tmp_path: Path, root: Path) -> None:

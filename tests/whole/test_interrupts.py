@@ -1,4 +1,4 @@
-"""Ctrl-C: at once, exit code 130, no traceback, no orphan, nothing half-made to be seen."""
+"""Ctrl-C: exit code 130, no traceback, no worker left, nothing half-made visible."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import h5py
 import minari
@@ -16,7 +19,10 @@ import numpy as np
 import pytest
 from processes import running
 
+from imujoco_minari.errors import PolicyError
+from imujoco_minari.publishing.collector import collect
 from imujoco_minari.storage import minari_root, quiet_file
+from imujoco_minari.variants import Variant
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for orphans in /proc")
 
@@ -91,6 +97,113 @@ def test_one_that_comes_while_hdf5_calls_our_file_comes_after(
     with h5py.File(path, "r") as file:
         assert np.array_equal(file["0"], np.arange(1000))
     assert restored is signal.default_int_handler
+
+
+@pytest.fixture
+def default_handler() -> Iterator[None]:
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    assert signal.signal(signal.SIGINT, handler) is signal.default_int_handler
+
+
+def test_a_delayed_one_is_raised_at_the_next_safe_point(tmp_path: Path, default_handler: None) -> None:
+    path = tmp_path / "file.hdf5"
+
+    def write() -> None:
+        with quiet_file.writing(path, new=True) as file:
+            for number in range(10):
+                quiet_file.safe_point()
+                if number == 3:
+                    signal.raise_signal(signal.SIGINT)
+                file[str(number)] = np.arange(1000)
+
+    path.touch()
+    with pytest.raises(KeyboardInterrupt):
+        write()
+    with h5py.File(path, "r") as file:
+        assert set(file) == set("0123")
+
+
+def test_a_delayed_one_is_raised_by_the_outer_block_and_once(default_handler: None) -> None:
+    ended = []
+
+    def nested() -> None:
+        with quiet_file.delayed_interrupts():
+            with quiet_file.delayed_interrupts():
+                signal.raise_signal(signal.SIGINT)
+                signal.raise_signal(signal.SIGINT)
+            ended.append("inner")
+            with pytest.raises(KeyboardInterrupt):
+                quiet_file.safe_point()
+            quiet_file.safe_point()
+            signal.raise_signal(signal.SIGINT)
+            ended.append("outer")
+
+    with pytest.raises(KeyboardInterrupt):
+        nested()
+    assert ended == ["inner", "outer"]
+    quiet_file.safe_point()
+
+
+def test_a_thread_neither_delays_nor_raises_one(default_handler: None) -> None:
+    def handlers() -> list[Any]:
+        before = signal.getsignal(signal.SIGINT)
+        with quiet_file.delayed_interrupts():
+            quiet_file.safe_point()
+            return [before, signal.getsignal(signal.SIGINT)]
+
+    def interrupt(thread: ThreadPoolExecutor) -> None:
+        with quiet_file.delayed_interrupts():
+            signal.raise_signal(signal.SIGINT)
+            assert thread.submit(handlers).result() == [signal.getsignal(signal.SIGINT)] * 2
+
+    with ThreadPoolExecutor(1) as thread:
+        assert thread.submit(handlers).result() == [signal.default_int_handler] * 2
+        with pytest.raises(KeyboardInterrupt):
+            interrupt(thread)
+
+
+def test_a_policy_that_fails_leaves_no_interrupt_delayed(tmp_path: Path, default_handler: None) -> None:
+    """Random episodes of Hopper take some ten steps, so the file is open when the policy fails."""
+
+    class Failing:
+        calls = 0
+
+        def act(self, observation: Any, rng: np.random.Generator) -> Any:
+            self.calls += 1
+            if self.calls > 3000:
+                raise PolicyError("no more")
+            return rng.uniform(-1.0, 1.0, 3).astype(np.float32)
+
+    with pytest.raises(PolicyError, match="no more"):
+        collect(Variant.parse("hopper-base"), Failing(), range(1000), 0, tmp_path / "data")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_line_imports_mujoco_without_a_child_process() -> None:
+    """Glfw would start one, and an interrupt would make that one print a traceback."""
+    script = """
+import subprocess, sys
+from imujoco_minari.cli import app
+
+def run(arguments):
+    def refuse(*words, **options):
+        raise AssertionError(f"started {words}")
+
+    subprocess.Popen.__init__ = refuse
+    import imujoco_minari.envs.robots
+    import glfw
+    assert glfw.get_version() >= (3, 3)
+    return 7
+
+sys.modules["imujoco_minari.cli.app"].run = run
+sys.modules["imujoco_minari.cli.app"].main()
+"""
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("PYGLFW")}
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False, env=environment
+    )
+    assert (done.returncode, done.stderr) == (7, "")
 
 
 @pytest.mark.parametrize("becomes", ["ImportError('initialization failed')", "interrupt"])
