@@ -177,7 +177,7 @@ def test_a_policy_that_fails_leaves_no_interrupt_delayed(tmp_path: Path, default
 
     with pytest.raises(PolicyError, match="no more"):
         collect(Variant.parse("hopper-base"), Failing(), range(1000), 0, tmp_path / "data")
-    assert list(tmp_path.iterdir()) == []
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_the_command_line_imports_mujoco_without_a_child_process() -> None:
