@@ -31,7 +31,7 @@ from imujoco_minari.cli.options import (
     Force,
     Jobs,
     MaybeDatasetIds,
-    Policy,
+    PolicyFile,
     Robot,
     Seed,
     Tier,
@@ -61,7 +61,7 @@ def publish_datasets(
     tiers: Tiers = None,
     episodes: Episodes = 100,
     seed: Seed = 0,
-    policy: Policy = None,
+    policy: PolicyFile = None,
     stochastic: Annotated[
         bool, typer.Option("--stochastic", help="Sample actions instead of taking their mode.")
     ] = False,

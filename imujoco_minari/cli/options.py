@@ -62,7 +62,7 @@ Backend = Annotated[
         help="Where the jobs run: loky (this machine) or ray (a running Ray cluster).",
     ),
 ]
-Policy = Annotated[
+PolicyFile = Annotated[
     Path | None, typer.Option("--policy", metavar="FILE", help="A Stable-Baselines3 .zip or a .safetensors.")
 ]
 Remote = Annotated[

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from imujoco_minari.cli.app import app, counted, out, print_json, progress, say
-from imujoco_minari.cli.options import AsJson, Force, Output, Policy
+from imujoco_minari.cli.options import AsJson, Force, Output, PolicyFile
 from imujoco_minari.errors import RenderingError, StorageError
 from imujoco_minari.variants import EXPERT, Variant
 
@@ -38,7 +38,7 @@ def render(
     tier: Annotated[
         str, typer.Option("--tier", "-t", metavar="TIER", help="The policy that moves a variant.")
     ] = EXPERT,
-    policy: Policy = None,
+    policy: PolicyFile = None,
     seconds: Seconds = None,
     size: Annotated[
         str, typer.Option("--size", metavar="WxH", help="Width and height in pixels.")

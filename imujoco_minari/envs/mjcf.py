@@ -20,7 +20,7 @@ from imujoco_minari.errors import ModelError
 from imujoco_minari.variants import BASE, Variant, specification
 from imujoco_minari.variants.original import OriginalVariant
 
-Array = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 
 @lru_cache(maxsize=256)
@@ -207,7 +207,7 @@ def _bodies(spec: mujoco.MjSpec, variant: Variant) -> list[mujoco.MjsBody]:
     return bodies
 
 
-def _stretch(body: mujoco.MjsBody, axis: Array, variant: Variant) -> None:
+def _stretch(body: mujoco.MjsBody, axis: Floats, variant: Variant) -> None:
     """Scale the segment of a limb's capsule by the variant's factor, radius and density kept.
 
     The point of the segment nearest to the limb's joint stays where it is: an end for most limbs, the
@@ -225,7 +225,7 @@ def _stretch(body: mujoco.MjsBody, axis: Array, variant: Variant) -> None:
     hinges = [joint for joint in body.joints if joint.name not in root_joints]
     fixed = 0.0 if not hinges else float(np.clip((hinges[0].pos - centre) @ axis, -half, half))
 
-    def moved(along: float) -> Array:
+    def moved(along: float) -> Floats:
         return (factor - 1.0) * (along - fixed) * axis
 
     for child in body.bodies:
@@ -240,13 +240,13 @@ def _stretch(body: mujoco.MjsBody, axis: Array, variant: Variant) -> None:
     body.mass, body.inertia, body.iquat = 0.0, np.zeros(3), [1.0, 0.0, 0.0, 0.0]
 
 
-def _attachment(child: mujoco.MjsBody) -> Array:
+def _attachment(child: mujoco.MjsBody) -> Floats:
     """Return where (m, in the parent's frame) a child body is hinged to its parent."""
     # None of the robots' bodies is rotated against its parent in the rest pose.
     return np.asarray(child.pos + child.joints[0].pos, dtype=np.float64)
 
 
-def _capsule_axis(model: mujoco.MjModel, name: str) -> Array:
+def _capsule_axis(model: mujoco.MjModel, name: str) -> Floats:
     """Return the unit vector of a capsule's axis in its body's frame."""
     axis = np.empty(3)
     mujoco.mju_rotVecQuat(axis, np.array([0.0, 0.0, 1.0]), model.geom(name).quat)

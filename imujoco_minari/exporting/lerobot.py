@@ -27,7 +27,7 @@ _FILES_A_CHUNK = 1000
 _UNKNOWN_RATE = 100
 _QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 
-Columns = dict[str, NDArray[Any]]
+ColumnArrays = dict[str, NDArray[Any]]
 
 
 def write(data: Arrays, target: Path, *, states_only: bool) -> None:
@@ -56,9 +56,9 @@ def write(data: Arrays, target: Path, *, states_only: bool) -> None:
     _json(target / "meta" / "info.json", _info(data, columns, rate))
 
 
-def _columns(data: Arrays, rate: int, states_only: bool) -> Columns:
+def _columns(data: Arrays, rate: int, states_only: bool) -> ColumnArrays:
     frame = np.arange(len(data)) - np.repeat(data.episode_starts, data.episode_lengths)
-    columns: Columns = {"observation.state": data.observations.astype(np.float32)}
+    columns: ColumnArrays = {"observation.state": data.observations.astype(np.float32)}
     if not states_only:
         columns["action"] = data.actions.astype(np.float32)
         columns["next.reward"] = data.rewards.astype(np.float32)
@@ -112,7 +112,7 @@ def _statistics(column: NDArray[Any]) -> dict[str, list[float]]:
     return {name: value.tolist() for name, value in numbers.items()}
 
 
-def _info(data: Arrays, columns: Columns, rate: int) -> dict[str, Any]:
+def _info(data: Arrays, columns: ColumnArrays, rate: int) -> dict[str, Any]:
     features = {
         name: {"dtype": str(column.dtype), "shape": list(column.shape[1:]) or [1], "names": None}
         for name, column in columns.items()

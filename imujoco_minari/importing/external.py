@@ -42,7 +42,7 @@ _NAMES = {
 
 
 @dataclass(frozen=True)
-class Source:
+class ExternalData:
     """The content of a source.
 
     Attributes:
@@ -115,7 +115,7 @@ def import_dataset(
     return Imported(published, near, found.notes)
 
 
-def read_source(source: str, robot: str, columns: str | None = None) -> Source:
+def read_source(source: str, robot: str, columns: str | None = None) -> ExternalData:
     """Return the steps of a source that :func:`import_dataset` takes.
 
     Raises:
@@ -144,22 +144,22 @@ def read_source(source: str, robot: str, columns: str | None = None) -> Source:
     return _minari(folder, robot)
 
 
-def _npz(path: Path, robot: str, columns: str | None) -> Source:
+def _npz(path: Path, robot: str, columns: str | None) -> ExternalData:
     arrays = read_npz(path)
     if ARRAY in arrays:
         transitions, layout, _ = read_table(arrays[ARRAY], robot, str(path), columns)
-        return Source("an .npz table", transitions, str(layout))
-    return Source("an .npz file", checked(_flat(arrays, str(path)), robot, str(path)))
+        return ExternalData("an .npz table", transitions, str(layout))
+    return ExternalData("an .npz file", checked(_flat(arrays, str(path)), robot, str(path)))
 
 
-def _d4rl(path: Path, robot: str) -> Source:
+def _d4rl(path: Path, robot: str) -> ExternalData:
     allowance = Allowance()
     with _opened(path) as file:
         known = [name for names in _NAMES.values() for name in names if name in file]
         arrays = {name: _array(file, name, str(path), allowance) for name in known}
         if not arrays and "episode_0" in file:
             raise DatasetError(f"{path}: is a Minari dataset's file: give the dataset's folder, or its id")
-    return Source("a D4RL HDF5 file", checked(_flat(arrays, str(path)), robot, str(path)))
+    return ExternalData("a D4RL HDF5 file", checked(_flat(arrays, str(path)), robot, str(path)))
 
 
 def _flat(arrays: Mapping[str, Array], name: str) -> Transitions:
@@ -187,7 +187,7 @@ def _flat(arrays: Mapping[str, Array], name: str) -> Transitions:
     )
 
 
-def _minari(folder: Path, robot: str) -> Source:
+def _minari(folder: Path, robot: str) -> ExternalData:
     data = folder / "data" if (folder / "data").is_dir() else folder
     path = file_format.main_file(data)
     if not path.is_file():
@@ -216,7 +216,7 @@ def _minari(folder: Path, robot: str) -> Source:
         )
     }
     authors = metadata.get("author")
-    return Source(
+    return ExternalData(
         "a Minari dataset",
         checked(Transitions(**joined), robot, str(folder)),
         algorithm=str(metadata.get("algorithm_name") or "")[:100],

@@ -31,7 +31,7 @@ _Maker = tuple[Policy, dict[str, Any]]
 
 
 @dataclass(frozen=True)
-class Part:
+class TierPart:
     """The episodes of a dataset that one policy makes.
 
     Attributes:
@@ -77,7 +77,9 @@ def load_policy(
     return makers[0][0]
 
 
-def parts(variant: Variant, tier: str, episodes: int, *, path: Path | None, stochastic: bool) -> list[Part]:
+def parts(
+    variant: Variant, tier: str, episodes: int, *, path: Path | None, stochastic: bool
+) -> list[TierPart]:
     """Return the parts of a dataset of a tier, in the order of its episodes.
 
     Args:
@@ -98,7 +100,7 @@ def parts(variant: Variant, tier: str, episodes: int, *, path: Path | None, stoc
             f"{len(makers)} policies make equal parts of the tier {tier}: {episodes} episodes cannot be "
             f"divided by {len(makers)}"
         )
-    return [Part(policy, episodes // len(makers), attributes) for policy, attributes in makers]
+    return [TierPart(policy, episodes // len(makers), attributes) for policy, attributes in makers]
 
 
 def ladder(variant: Variant) -> Sequence[Mapping[str, Any]]:

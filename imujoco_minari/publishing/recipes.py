@@ -9,7 +9,7 @@ from typing import Any
 
 from imujoco_minari.errors import DatasetError
 from imujoco_minari.policies import Policy
-from imujoco_minari.policies.tiers import Part, parts
+from imujoco_minari.policies.tiers import TierPart, parts
 from imujoco_minari.storage import file_format
 from imujoco_minari.variants import EXPERT, Variant
 
@@ -55,7 +55,7 @@ class Recipe:
         """What each episode carries: whence it came too, which a collection of it then says."""
         return self.attributes | {"source": self.dataset_id}
 
-    def parts(self) -> list[Part]:
+    def parts(self) -> list[TierPart]:
         """Return the policies that make the dataset, and how many episodes each."""
         return parts(self.variant, self.tier, self.episodes, path=self.policy, stochastic=self.stochastic)
 
@@ -75,7 +75,7 @@ def algorithms(policies: Sequence[Policy]) -> str:
     return ", ".join(dict.fromkeys(policy.algorithm for policy in policies))
 
 
-def description(recipe: Recipe, made_by: Sequence[Part]) -> str:
+def description(recipe: Recipe, made_by: Sequence[TierPart]) -> str:
     """Return the description in a dataset's metadata: one or two sentences."""
     variant, policies = recipe.variant, [part.policy for part in made_by]
     change = (

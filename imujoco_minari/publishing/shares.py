@@ -14,7 +14,7 @@ from minari.dataset.minari_storage import MinariStorage
 
 from imujoco_minari.errors import JobError
 from imujoco_minari.parallel import run_jobs
-from imujoco_minari.policies.tiers import Part
+from imujoco_minari.policies.tiers import TierPart
 from imujoco_minari.publishing.collector import collect
 from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.storage import copying, file_format
@@ -27,13 +27,13 @@ OnEpisode = Callable[[], None]
 class _Share:
     """Episodes of one part of a dataset that are recorded in one go, in a folder."""
 
-    part: Part
+    part: TierPart
     episodes: Sequence[int]
     folder: Path
 
 
 def record_shares(
-    recipe: Recipe, made_by: Sequence[Part], data: Path, jobs: int, on_episode: OnEpisode
+    recipe: Recipe, made_by: Sequence[TierPart], data: Path, jobs: int, on_episode: OnEpisode
 ) -> None:
     """Record the recipe's episodes in ``data``, in shares that are joined in order."""
     shares = list(_shares(made_by, data, jobs))
@@ -49,7 +49,7 @@ def record_shares(
     _join([share.folder for share in shares], data)
 
 
-def _shares(made_by: Sequence[Part], data: Path, jobs: int) -> Iterator[_Share]:
+def _shares(made_by: Sequence[TierPart], data: Path, jobs: int) -> Iterator[_Share]:
     """Divide the episodes: one share a part with one job, about four a job with several."""
     first = number = 0
     for part in made_by:

@@ -40,7 +40,7 @@ class UnreadableError(Exception):
 
 
 @dataclass(frozen=True)
-class Array:
+class ReadableArray:
     """An array below an episode that may be read: its HDF5 dataset and its attributes."""
 
     dataset: h5py.h5d.DatasetID
@@ -79,7 +79,7 @@ class Episode:
     name: str
     linked: bool
     attributes: Mapping[str, Any]
-    arrays: dict[str, Array] = field(default_factory=dict)
+    arrays: dict[str, ReadableArray] = field(default_factory=dict)
 
 
 def check_names(file: h5py.File) -> None:
@@ -161,7 +161,9 @@ def _follow(link: Any, data: Path, name: str, depth: int = 0) -> None:
         raise UnreadableError(name, f"refers to {source}, which cannot be read: {str(error)[:120]}") from None
 
 
-def _look_below(group: Any, where: str, prefix: str, arrays: dict[str, Array], seen: list[int]) -> None:
+def _look_below(
+    group: Any, where: str, prefix: str, arrays: dict[str, ReadableArray], seen: list[int]
+) -> None:
     """Add the arrays below a group, within bounds of depth and number; hard links may go in circles."""
     for raw in group:
         key = raw.decode("utf-8", "surrogateescape")
@@ -178,7 +180,7 @@ def _look_below(group: Any, where: str, prefix: str, arrays: dict[str, Array], s
             attributes(item, place)
             _look_below(item, place, f"{prefix}{key}/", arrays, seen)
         elif isinstance(item, h5py.h5d.DatasetID):
-            found = Array(item, attributes(item, place))
+            found = ReadableArray(item, attributes(item, place))
             _look_at(item, place)
             arrays[f"{prefix}{key}"] = found
         else:

@@ -22,7 +22,7 @@ from imujoco_minari.verification.findings import MAX_FINDINGS, Checked, Finding,
 
 
 @dataclass
-class Part:
+class PartialCheck:
     """What the check of some of a dataset's episodes found.
 
     Attributes:
@@ -52,7 +52,7 @@ class Part:
         return json.dumps(asdict(self))
 
     @classmethod
-    def from_json(cls, text: str | bytes) -> Part:
+    def from_json(cls, text: str | bytes) -> PartialCheck:
         """Return the part of :meth:`to_json`.
 
         Raises:
@@ -67,9 +67,9 @@ def check(data: Path) -> Checked:
     return merge(data, [check_part(data)])
 
 
-def check_part(data: Path, number: int = 0, count: int = 1) -> Part:
+def check_part(data: Path, number: int = 0, count: int = 1) -> PartialCheck:
     """Check one of ``count`` parts of the storage in the folder ``data``; the first sees to the files too."""
-    part = Part()
+    part = PartialCheck()
     try:
         _check(part, data, number, count)
     except bounded_read.UnreadableError as error:
@@ -81,7 +81,7 @@ def check_part(data: Path, number: int = 0, count: int = 1) -> Part:
     return part
 
 
-def merge(data: Path, parts: Sequence[Part]) -> Checked:
+def merge(data: Path, parts: Sequence[PartialCheck]) -> Checked:
     """Return what the parts found, and what only the whole tells."""
     findings = [finding for part in parts for finding in part.findings]
     if not all(part.readable for part in parts):
@@ -97,7 +97,7 @@ def unreadable(data: Path, error: Exception) -> Finding:
     return Finding(str(data), f"cannot be read: {type(error).__name__}: {str(error)[:200]}")
 
 
-def _check(part: Part, data: Path, number: int, count: int) -> None:
+def _check(part: PartialCheck, data: Path, number: int, count: int) -> None:
     missing = [name for name in ("metadata.json", file_format.MAIN_FILE) if not (data / name).is_file()]
     if missing:
         raise bounded_read.UnreadableError(missing[0], "is missing")
@@ -118,7 +118,7 @@ def _check(part: Part, data: Path, number: int, count: int) -> None:
 
 
 def _check_episode(
-    part: Part,
+    part: PartialCheck,
     episode: bounded_read.Episode,
     number: int,
     root: Mapping[str, Any],
@@ -145,7 +145,7 @@ def _check_episode(
     part.intact &= not changed
 
 
-def _check_whole(findings: list[Finding], data: Path, parts: Sequence[Part]) -> bool:
+def _check_whole(findings: list[Finding], data: Path, parts: Sequence[PartialCheck]) -> bool:
     """Add what the whole tells to the findings; return whether the dataset can be replayed."""
     metadata = read_metadata(data)
     obstacles = []

@@ -18,7 +18,7 @@ from imujoco_minari.errors import JobError
 from imujoco_minari.limits import run_all_limited
 from imujoco_minari.storage import file_format
 from imujoco_minari.storage.metadata import read_metadata
-from imujoco_minari.verification.check import Part, check_part, merge
+from imujoco_minari.verification.check import PartialCheck, check_part, merge
 from imujoco_minari.verification.findings import Checked, Finding
 
 MAX_MEMORY_BYTES = 2**33
@@ -94,9 +94,9 @@ def _without_prefixes() -> None:
         del os.environ[name]
 
 
-def _part(result: bytes) -> Part | Finding:
+def _part(result: bytes) -> PartialCheck | Finding:
     try:
-        return Part.from_json(result)
+        return PartialCheck.from_json(result)
     except (ValueError, TypeError, KeyError):
         return Finding(file_format.MAIN_FILE, "cannot be read: the process that read it gave no answer")
 

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 # From a little in front of and above the robots' plane, so that a far leg shows behind a near one.
 AZIMUTH, ELEVATION = 104.0, -11.0
@@ -33,11 +33,11 @@ class Capsules:
         radii: of shape (ends,), in metres.
     """
 
-    ends: Array
-    radii: Array
+    ends: Floats
+    radii: Floats
 
     @property
-    def middle(self) -> Array:
+    def middle(self) -> Floats:
         """The middle (m) of the robot's extent along x, of shape (frames,)."""
         low = (self.ends[:, :, 0] - self.radii).min(axis=1)
         high = (self.ends[:, :, 0] + self.radii).max(axis=1)
@@ -58,10 +58,10 @@ class Camera:
         distance: from that point, in metres.
     """
 
-    lookat: Array
+    lookat: Floats
     distance: float
 
-    def project(self, points: Array, aspect: float) -> Array:
+    def project(self, points: Floats, aspect: float) -> Floats:
         """Return where ``points`` (frames, n, 3) lie in the picture: (frames, n, 2), each within -1 to 1."""
         right, up, forward = axes()
         relative = points - self.lookat[:, None, :]
@@ -71,7 +71,7 @@ class Camera:
         return np.stack([x, y], axis=-1)
 
 
-def axes() -> tuple[Array, Array, Array]:
+def axes() -> tuple[Floats, Floats, Floats]:
     """Return the camera's right, up and forward unit vectors in the world, by MuJoCo's angles."""
     azimuth, elevation = np.radians(AZIMUTH), np.radians(ELEVATION)
     forward = np.array(
@@ -85,7 +85,7 @@ def axes() -> tuple[Array, Array, Array]:
     return right, np.cross(right, forward), forward
 
 
-def capsules(model: mujoco.MjModel, positions: Array) -> Capsules:
+def capsules(model: mujoco.MjModel, positions: Floats) -> Capsules:
     """Return the robot's capsules along ``positions`` (frames, nq)."""
     data = mujoco.MjData(model)
     chosen = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE)
@@ -117,7 +117,7 @@ def follow(motions: Sequence[Capsules], aspect: float, frame_seconds: float) -> 
     return [Camera(lookat, distance) for lookat in lookats]
 
 
-def _distance(motion: Capsules, lookat: Array, aspect: float) -> float:
+def _distance(motion: Capsules, lookat: Floats, aspect: float) -> float:
     """Return the smallest distance (m) from which all ends, with their radii, are in all pictures."""
     right, up, forward = axes()
     relative = motion.ends - lookat[:, None, :]
@@ -127,7 +127,7 @@ def _distance(motion: Capsules, lookat: Array, aspect: float) -> float:
     return float((np.maximum(beside, above) - relative @ forward + motion.radii).max())
 
 
-def _smooth(values: Array, window: int) -> Array:
+def _smooth(values: Floats, window: int) -> Floats:
     """Return the moving average of ``values``; beyond the ends they go on as they begin and end."""
     half = min(window // 2, len(values) - 1)
     padded = np.pad(values, half, mode="reflect", reflect_type="odd")

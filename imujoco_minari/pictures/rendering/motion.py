@@ -17,7 +17,7 @@ from imujoco_minari.policies import Policy
 from imujoco_minari.policies.rollouts import roll_out
 from imujoco_minari.variants import Variant
 
-Array = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +36,8 @@ class Motion:
     """
 
     variant: Variant
-    positions: Array
-    rewards: Array
+    positions: Floats
+    rewards: Floats
     timestep: float
     terminated: bool
     title: str
@@ -69,7 +69,7 @@ class PositionRecorder(gym.Wrapper[Any, Any, Any, Any]):
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         super().__init__(env)
-        self.positions: list[Array] = []
+        self.positions: list[Floats] = []
         self.rewards: list[float] = []
         self.terminated = False
 
@@ -100,7 +100,7 @@ class PositionRecorder(gym.Wrapper[Any, Any, Any, Any]):
             self.unwrapped.mjcf,  # type: ignore[attr-defined]
         )
 
-    def _position(self) -> Array:
+    def _position(self) -> Floats:
         return np.array(self.unwrapped.data.qpos)  # type: ignore[attr-defined]
 
 
