@@ -190,9 +190,7 @@ def test_damage_on_the_way_is_found_when_read_back_and_mended_by_pushing_again(s
             file.write_bytes(file.read_bytes()[:-1] + b"?")
 
     store.on_upload = damage
-    with pytest.raises(
-        RemoteError, match=f"{MAIN_FILE} was downloaded again and differs from the upload"
-    ):
+    with pytest.raises(RemoteError, match=f"{MAIN_FILE} was downloaded again and differs from the upload"):
         remotes.push(HOPPER, REMOTE)
     store.on_upload = lambda file: None
     assert remotes.push(HOPPER, REMOTE)[0].uploaded
