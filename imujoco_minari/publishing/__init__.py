@@ -1,5 +1,5 @@
-"""Datasets into the Minari root: publish a recipe, publish given episodes, combine datasets.
+"""Adds datasets to the Minari root: publishes recipes and given episodes, and combines datasets.
 
-Every dataset is staged, checked and committed in the same way, through
-:mod:`imujoco_minari.storage.minari_root`, so a reader of the root sees whole datasets only.
+Every dataset is staged, checked and committed through :mod:`imujoco_minari.storage.minari_root`, so a reader
+of the root sees complete datasets only.
 """

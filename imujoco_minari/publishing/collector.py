@@ -1,6 +1,6 @@
-"""Rollouts recorded by ``minari.DataCollector``: a policy and a variant in, stored episodes out.
+"""Collectors: they roll a policy out in a variant and record the episodes by ``minari.DataCollector``.
 
-A collector writes to the storage that it is given. It knows nothing of the Minari root.
+A collector writes to the storage that it is given. It does not know the Minari root.
 """
 
 from __future__ import annotations
@@ -28,25 +28,25 @@ from imujoco_minari.variants import Variant
 class StorageCollector(DataCollector):  # type: ignore[misc]
     """A ``minari.DataCollector`` that records into the storage that it is given.
 
-    It records what the stock collector records, array for array, of environments whose observations and
-    actions are plain arrays. The stock collector checks both spaces at every step and rebuilds its buffer
-    through ``jax``: 30 us a step beside the 25 us of a HalfCheetah's physics. This one checks the spaces once
-    an episode. It does not record infos.
+    It records the same arrays as the stock collector, for environments whose observations and actions are
+    plain arrays. The stock collector checks both spaces at every step and rebuilds its buffer through
+    ``jax``. That takes 30 us per step, where a HalfCheetah's physics take 25 us. This collector checks the
+    spaces once per episode. It does not record infos.
 
     Args:
         env: the environment to step.
-        storage: where episodes go; several collectors may share an :class:`OrderedStorage`.
+        storage: the storage of the episodes. Several collectors may share an :class:`OrderedStorage`.
     """
 
     def __init__(self, env: gym.Env[Any, Any], storage: EpisodeStorage | OrderedStorage) -> None:
-        self._given = storage
+        self._target_storage = storage
         self._buffer: EpisodeBuffer | None
         super().__init__(env)
 
     @property
     def datasets_path(self) -> str:
-        """The folder of the storage; the stock collector takes a process-wide one."""
-        return str(self._given.data_path)
+        """The folder of the storage. The stock collector uses one folder for the whole process."""
+        return str(self._target_storage.data_path)
 
     @datasets_path.setter
     def datasets_path(self, value: str) -> None:
@@ -71,7 +71,7 @@ class StorageCollector(DataCollector):  # type: ignore[misc]
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode; one that was not at its end is stored as truncated."""
+        """Begin an episode. An unfinished episode is stored as truncated."""
         observation, info = super().reset(seed=seed, options=options)
         assert self._buffer is not None
         seed = self._buffer.seed
@@ -79,34 +79,34 @@ class StorageCollector(DataCollector):  # type: ignore[misc]
         return observation, info
 
     def begin(self, number: int) -> None:
-        """Set the number of the episode that the next reset begins."""
+        """Set the number of the episode that starts at the next reset."""
         self._episode_id = number
 
     def forget(self) -> None:
-        """Forget the episode that has not ended."""
+        """Discard the unfinished episode."""
         self._buffer = None
 
     def close(self) -> None:
-        """Forget the episode that has not ended, and close the environment."""
+        """Discard the unfinished episode and close the environment."""
         self.forget()
         self.env.close()
 
     def _reset_storage(self) -> None:
         self._episode_id = 0
-        self._storage = self._given
+        self._storage = self._target_storage
 
     def _flush_to_storage(self) -> None:
         if self._buffer is not None and len(self._buffer):
-            # Converted once, for the spaces and for the storage.
+            # One conversion serves both the spaces and the storage.
             rows = {key: np.asarray(getattr(self._buffer, key)) for key in ("observations", "actions")}
             self._buffer = replace(self._buffer, **rows)
-            _warn_outside(self._storage.observation_space, rows["observations"][1:], "Observation")
-            _warn_outside(self._storage.action_space, rows["actions"], "Action")
+            _warn_if_outside(self._storage.observation_space, rows["observations"][1:], "Observation")
+            _warn_if_outside(self._storage.action_space, rows["actions"], "Action")
         super()._flush_to_storage()
 
 
-def _warn_outside(space: gym.Space[Any], rows: NDArray[Any], name: str) -> None:
-    """Warn, as the stock collector does, of every row that its space does not contain."""
+def _warn_if_outside(space: gym.Space[Any], rows: NDArray[Any], name: str) -> None:
+    """Warn about every row outside its space, as the stock collector does."""
     if (
         isinstance(space, gym.spaces.Box)
         and rows.shape[1:] == space.shape
@@ -130,15 +130,15 @@ def collect(
     attributes: Mapping[str, Any] | None = None,
     on_episode: Callable[[], None] = lambda: None,
 ) -> None:
-    """Record the numbered ``episodes`` of a dataset as a Minari storage in the new folder ``target``.
+    """Record episodes of a dataset as a Minari storage in a new folder.
 
     Args:
-        variant: the variant whose environment is stepped.
+        variant: the variant to step.
         policy: chooses the actions.
-        episodes: numbers of the episodes within the dataset; each number seeds its episode.
+        episodes: numbers of the episodes in the dataset. Each number seeds its episode.
         seed: base seed of the dataset.
-        target: the storage's folder; its parent exists.
-        attributes: what every episode carries beside Minari's own attributes.
+        target: the new folder of the storage. Its parent must exist.
+        attributes: attributes of every episode, in addition to Minari's own.
         on_episode: called after each episode.
     """
     seeds = [episode_seed(seed, episode) for episode in episodes]
@@ -157,10 +157,10 @@ def collect(
 
 
 class OrderedStorage:
-    """Takes episodes as they end, and hands them to a storage in the order of their numbers.
+    """Accepts episodes in the order in which they end and writes them in the order of their numbers.
 
     Args:
-        storage: where the episodes go.
+        storage: the storage to write to.
     """
 
     def __init__(self, storage: EpisodeStorage) -> None:
@@ -171,7 +171,7 @@ class OrderedStorage:
         self._next = 0
 
     def update_episodes(self, episodes: Iterable[EpisodeBuffer]) -> None:
-        """Take episodes that have ended."""
+        """Accept episodes that have ended, and write those whose predecessors are written."""
         self._waiting |= {buffer.id: buffer for buffer in episodes}
         while self._next in self._waiting:
             self._storage.update_episodes([self._waiting.pop(self._next)])

@@ -1,8 +1,7 @@
-"""Collections: many datasets of one robot as one Minari dataset.
+"""Collections: combines many datasets of one robot into one Minari dataset.
 
-Stock ``minari.combine_datasets`` refuses datasets whose environments differ, as variants' do, and drops
-seeds and episode attributes. Here HDF5 copies or links whole episodes, so every attribute stays and no array
-is decoded.
+Stock ``minari.combine_datasets`` requires all datasets to share one environment, and drops seeds and episode
+attributes. Here HDF5 copies or links whole episodes, so every attribute is kept and no array is decoded.
 """
 
 from __future__ import annotations
@@ -33,13 +32,13 @@ from imujoco_minari.verification.child_process import survives
 
 
 @dataclass(frozen=True)
-class _Written:
-    """What was written.
+class _WrittenEpisodes:
+    """A summary of the episodes that were written.
 
     Attributes:
         attributes: the identifying attributes of each episode.
         steps: number of steps of all episodes.
-        stated: what the metadata state of the content.
+        stated: the entries of the metadata that describe the content.
     """
 
     attributes: list[dict[str, Any]]
@@ -56,34 +55,40 @@ def combine_datasets(
 ) -> MinariDataset:
     """Combine datasets of one robot into a collection and return it.
 
-    Every episode keeps its seed and all its attributes; its ``source`` is the dataset it came from.
-    The environment is that of the one variant there is, or one of all variants, which takes
-    ``reset(options={"variant": id})``.
+    Every episode keeps its seed and all its attributes. Its ``source`` is the dataset that it came from.
+    The environment of a collection of several variants selects one by ``reset(options={"variant": id})``.
 
     Args:
-        datasets_to_combine: datasets or their ids. A filtered or split view goes in as that view.
+        datasets_to_combine: datasets or their ids. Of a filtered or split view, only its episodes are used.
         new_dataset_id: id of the collection.
-        link: refer to the episodes where they lie instead of copying them. Such a collection is made
-            at once and takes no space, but lives only as long as its sources.
-        force: replace a dataset that has the id.
+        link: link to the episodes of the sources instead of copying them. A linked collection is made at
+            once and takes no space, but it breaks if a source is deleted.
+        force: replace the dataset that has the id.
 
     Raises:
-        DatasetNotFoundError: when an id names no dataset of the Minari root.
-        DatasetExistsError: when the new id is taken.
-        DatasetError: when there is nothing to combine, robots or spaces differ, or a linked collection
-            would replace a dataset that it links to.
+        DatasetNotFoundError: if the Minari root has no dataset with one of the ids.
+        DatasetExistsError: if the new id is used and ``force`` is false.
+        DatasetError: if there are no episodes to combine, if robots or spaces differ, or if a linked
+            collection would replace a dataset that it links to.
+
+    Example:
+        >>> ids = ["imujoco/hopper-base-v0", "imujoco/hopper-massdec_25_leggeom-v0"]
+        >>> combine_datasets(ids, "me/two-hoppers-v0").total_episodes
+        200
     """
     folder = minari_root.dataset_folder(new_dataset_id)
     if minari_root.taken(new_dataset_id) and not force:
-        raise DatasetExistsError(f"{new_dataset_id} is already there, at {folder}; it was left alone")
-    with minari_root.failures_named():
+        raise DatasetExistsError(
+            f"{new_dataset_id} already exists, at {folder}; it was not changed (--force replaces it)"
+        )
+    with minari_root.storage_errors():
         sources = [open_source(dataset) for dataset in datasets_to_combine]
         check_sources(sources)
     with minari_root.staging(new_dataset_id) as staging_folder:
         staged = staging_folder / "dataset"
         staged.mkdir()
         data = staged / "data"
-        with _damage_named():
+        with _copy_errors():
             MinariStorage.new(
                 data,
                 observation_space=sources[0].observation_space,
@@ -93,12 +98,12 @@ def combine_datasets(
                 if force:
                     files = [source.file for source in sources]
                     copying.check_replaced(new_dataset_id, file_format.main_file(folder / "data"), files)
-                written = _link(sources, data, folder / "data")
+                written = _link_sources(sources, data, folder / "data")
             else:
-                written = _copy(sources, data)
-        complete_metadata(data, _metadata(sources, new_dataset_id, written))
+                written = _copy_sources(sources, data)
+        complete_metadata(data, _collection_metadata(sources, new_dataset_id, written))
         minari_root.commit(staged, new_dataset_id, replace=force)
-    with minari_root.failures_named():
+    with minari_root.storage_errors():
         return MinariDataset(folder / "data")
 
 
@@ -109,8 +114,8 @@ def collection_id(robot: str, category: str | None = None, tier: str = EXPERT) -
 
 
 @contextmanager
-def _damage_named() -> Iterator[None]:
-    """Turn what h5py raises on a damaged source into a DatasetError; a full disk stays an OSError."""
+def _copy_errors() -> Iterator[None]:
+    """Turn h5py's errors on a damaged source into a DatasetError. A full disk stays an OSError."""
     try:
         yield
     except (KeyError, ValueError, TypeError, RuntimeError, OSError) as error:
@@ -121,18 +126,18 @@ def _damage_named() -> Iterator[None]:
         ) from None
 
 
-def _screened(sources: Sequence[Source]) -> Iterator[Source]:
-    """Yield the sources, each when its file has proved harmless to HDF5."""
+def _check_files(sources: Sequence[Source]) -> Iterator[Source]:
+    """Check the files of the sources in threads, and yield each source when its file is safe to open."""
     threads = ThreadPoolExecutor(max(1, (os.cpu_count() or 1) - 1))
     try:
-        for source, _ in zip(sources, threads.map(_screen, sources), strict=True):
+        for source, _ in zip(sources, threads.map(_check_file, sources), strict=True):
             yield source
     finally:
         threads.shutdown(cancel_futures=True)
 
 
-def _screen(source: Source) -> None:
-    """Raise a DatasetError for a file on which HDF5 may hang or crash; a file as it was published is none."""
+def _check_file(source: Source) -> None:
+    """Raise a DatasetError if HDF5 hangs or crashes on the file. A file with its stated digest is safe."""
     try:
         digest = file_format.file_sha256(source.file)
     except FileNotFoundError:
@@ -143,24 +148,24 @@ def _screen(source: Source) -> None:
         raise DatasetError(f"{source.dataset_id} cannot be combined: {finding}")
 
 
-def _copy(sources: Sequence[Source], data: Path) -> _Written:
-    """Copy the episodes into the new file."""
+def _copy_sources(sources: Sequence[Source], data: Path) -> _WrittenEpisodes:
+    """Copy the episodes of all sources into the new file."""
     attributes: list[dict[str, Any]] = []
     steps, digests = 0, list[str]()
     with writing(file_format.main_file(data), new=True) as target:
-        for source in _screened(sources):
+        for source in _check_files(sources):
             with source.opened() as file:
                 attributes += source.attributes(file)
                 copied = copying.copy_episodes(file, source.episodes, target, source.dataset_id)
                 steps += copied.steps
                 digests += copied.digests
-        stated = _common(attributes) | {"content_sha256": file_format.dataset_sha256(digests)}
+        stated = _shared_attributes(attributes) | {"content_sha256": file_format.dataset_sha256(digests)}
         target.attrs.update(stated)
-    return _Written(attributes, steps, stated)
+    return _WrittenEpisodes(attributes, steps, stated)
 
 
-def _link(sources: Sequence[Source], data: Path, linked_from: Path) -> _Written:
-    """Write links to the episodes, for a file that will lie in ``linked_from``."""
+def _link_sources(sources: Sequence[Source], data: Path, linked_from: Path) -> _WrittenEpisodes:
+    """Write links to the episodes of all sources into a file whose final folder is ``linked_from``."""
     attributes: list[dict[str, Any]] = []
     steps, linked = 0, list[list[Any]]()
     with writing(file_format.main_file(data), new=True) as target:
@@ -168,29 +173,29 @@ def _link(sources: Sequence[Source], data: Path, linked_from: Path) -> _Written:
             with source.opened() as file:
                 attributes += source.attributes(file)
                 copying.link_episodes(file, source.episodes, target, relpath(source.file, linked_from))
-                steps += _steps(source, file)
-                linked.append([len(source.episodes), _content(source, file)])
-        stated = _common(attributes)
+                steps += _count_steps(source, file)
+                linked.append([len(source.episodes), _episodes_digest(source, file)])
+        stated = _shared_attributes(attributes)
         target.attrs.update(stated)
-    return _Written(attributes, steps, stated | {file_format.LINKED: linked})
+    return _WrittenEpisodes(attributes, steps, stated | {file_format.LINKED: linked})
 
 
-def _steps(source: Source, file: h5py.File) -> int:
-    """Return how many steps the source's episodes have, without opening each if all go in."""
+def _count_steps(source: Source, file: h5py.File) -> int:
+    """Return the number of steps of a source; from its metadata if all its episodes are used."""
     if source.whole:
         return int(source.metadata["total_steps"])
     return sum(int(file[f"episode_{number}"].attrs["total_steps"]) for number in source.episodes)
 
 
-def _content(source: Source, file: h5py.File) -> str:
-    """Return the digest of the source's episodes, without opening each if all go in."""
+def _episodes_digest(source: Source, file: h5py.File) -> str:
+    """Return the digest of a source's episodes; from its metadata if all its episodes are used."""
     if source.whole and "content_sha256" in source.metadata:
         return str(source.metadata["content_sha256"])
     digests = (file[f"episode_{number}"].attrs.get(file_format.DIGEST, "") for number in source.episodes)
     return file_format.dataset_sha256(map(str, digests))
 
 
-def _common(attributes: list[dict[str, Any]]) -> dict[str, Any]:
+def _shared_attributes(attributes: list[dict[str, Any]]) -> dict[str, Any]:
     """Return the identifying attributes that all episodes share."""
     first = attributes[0]
     return {
@@ -200,17 +205,19 @@ def _common(attributes: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _metadata(sources: Sequence[Source], dataset_id: str, written: _Written) -> dict[str, Any]:
+def _collection_metadata(
+    sources: Sequence[Source], dataset_id: str, written: _WrittenEpisodes
+) -> dict[str, Any]:
     """Return the collection's metadata."""
     attributes = written.attributes
-    spec = _env_spec(sources, dataset_id, attributes)
+    spec = _collection_env_spec(sources, dataset_id, attributes)
     algorithms = sorted({str(source.metadata.get("algorithm_name", "unknown")) for source in sources})
     requirements = {str(r) for source in sources for r in source.metadata.get("requirements") or []}
     return {
         **provenance(
             authors={str(author) for source in sources for author in source.metadata.get("author") or []},
             algorithm=", ".join(algorithms),
-            description=f"A collection of {len(attributes)} episodes out of {len(sources)} datasets.",
+            description=f"A collection of {len(attributes)} episodes from {len(sources)} datasets.",
         ),
         "requirements": sorted(requirements),
         "dataset_id": dataset_id,
@@ -219,18 +226,20 @@ def _metadata(sources: Sequence[Source], dataset_id: str, written: _Written) -> 
         "total_steps": written.steps,
         **({CATALOGUE: ORIGINAL} if spec is not None and stored_models(spec.kwargs) else {}),
         **({} if spec is None else {"env_spec": spec.to_json()}),
-        **{key: _plain(value) for key, value in written.stated.items()},
+        **{key: _to_json_value(value) for key, value in written.stated.items()},
     }
 
 
-def _env_spec(sources: Sequence[Source], dataset_id: str, attributes: list[dict[str, Any]]) -> EnvSpec | None:
-    models = _models(sources)
+def _collection_env_spec(
+    sources: Sequence[Source], dataset_id: str, attributes: list[dict[str, Any]]
+) -> EnvSpec | None:
+    models = _original_models(sources)
     names = list(dict.fromkeys(str(attrs["variant"]) for attrs in attributes if "variant" in attrs))
     if names:
         return dataset_spec(_collection_name(dataset_id), names, models)
     specs = [source.env_spec for source in sources]
     if any(spec != specs[0] for spec in specs):
-        raise DatasetError("the datasets are of different environments, and none of them is a variant's")
+        raise DatasetError("the datasets have different environments, and these are not variants")
     return specs[0]
 
 
@@ -238,24 +247,24 @@ def _collection_name(dataset_id: str) -> str:
     return dataset_id.rpartition("/")[2].rpartition("-v")[0]
 
 
-def _models(sources: Sequence[Source]) -> dict[str, str]:
+def _original_models(sources: Sequence[Source]) -> dict[str, str]:
     """Return variant id -> MJCF text for sources of the original archive's variants; empty for others."""
     stored = [stored_models(source.env_spec.kwargs) if source.env_spec else {} for source in sources]
     models: dict[str, str] = {}
     for source, own in zip(sources, stored, strict=True):
         if any(stored) and not own:
             raise DatasetError(
-                f"{source.dataset_id} does not hold the original's variants, as others here do: "
-                "their environments differ even where their ids do not, and cannot be combined"
+                f"{source.dataset_id} is not from the original's archive, but other sources are: "
+                "their environments differ even if their ids are the same, so they cannot be combined"
             )
         for variant, mjcf in own.items():
             if models.setdefault(variant, mjcf) != mjcf:
                 raise DatasetError(
-                    f"{source.dataset_id}: its model of {variant} is not that of another source"
+                    f"{source.dataset_id}: its model of {variant} differs from that of another source"
                 )
     return models
 
 
-def _plain(value: Any) -> Any:
-    """Return an HDF5 attribute as JSON can hold it."""
+def _to_json_value(value: Any) -> Any:
+    """Return an HDF5 attribute as a JSON value."""
     return value.item() if hasattr(value, "item") else value

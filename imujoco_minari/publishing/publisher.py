@@ -1,7 +1,7 @@
-"""From a recipe to a published Minari dataset: roll out, complete, verify, commit.
+"""From a recipe to a published Minari dataset: roll out, complete, check, commit.
 
-The only writer of datasets. All happens in a staging folder of the Minari root; what is committed is
-whole and has been checked, and what is interrupted was never visible.
+A dataset is made in a staging folder of the Minari root and committed after it was checked. An interrupted
+publication is never visible.
 """
 
 from __future__ import annotations
@@ -42,19 +42,19 @@ from imujoco_minari.verification import inspect
 
 @dataclass(frozen=True)
 class Published:
-    """What became of one recipe.
+    """The outcome of publishing one dataset.
 
     Attributes:
         dataset_id: the dataset's id.
-        path: its folder; None when it failed.
-        created: whether this call made it; False when it was there already.
+        path: folder of the dataset; None if the publication failed.
+        created: whether this call made it; False if it existed already.
         episodes: number of episodes.
         steps: number of steps.
         return_mean: mean undiscounted return of the episodes.
-        return_std: their standard deviation.
+        return_std: standard deviation of the returns.
         content_sha256: digest of the arrays.
         seconds: wall time.
-        error: why it failed; empty when it did not.
+        error: why the publication failed; empty on success.
         missing: whether it failed because something that was asked for does not exist.
     """
 
@@ -83,26 +83,28 @@ def publish(
     force: bool = False,
     on_episode: OnEpisode = lambda: None,
 ) -> Published:
-    """Publish one variant's dataset into the Minari root.
+    """Publish one variant's dataset in the Minari root.
 
     Args:
-        variant: a variant or its id; or a whole :class:`~imujoco_minari.publishing.recipes.Recipe`, which
+        variant: a variant or its id, or a :class:`~imujoco_minari.publishing.recipes.Recipe`, which
             replaces the next five arguments.
-        tier: which policy makes the data; part of the dataset's id.
+        tier: the tier, which names the policy and is part of the dataset's id.
         episodes: number of episodes.
-        seed: base seed of all that is random.
+        seed: base seed of all random numbers.
         policy: a policy file to use instead of the shipped policy.
         stochastic: sample the actions instead of taking the policy's mode.
-        jobs: number of processes; the content does not depend on it.
-        force: replace a dataset that has the id; the old dataset stands until the new one is whole.
-        on_episode: called after each episode (after each share of the episodes, with several jobs).
+        jobs: number of processes. The content does not depend on it.
+        force: replace the dataset that has the id. The old dataset is removed when the new one is complete.
+        on_episode: called after each episode, with several jobs for all episodes of a share at once.
 
     Returns:
-        What was made. If the root has the dataset already, made by the same recipe, ``created`` is false.
+        The outcome. ``created`` is false if the root has the dataset of the same recipe already.
 
     Raises:
-        DatasetExistsError: when the root has another dataset with this id and ``force`` is false.
-        ImujocoError: when there is no such policy, the root cannot be written, or the check fails.
+        DatasetExistsError: if the root has another dataset with this id and ``force`` is false.
+        PolicyNotFoundError: if there is no policy for the variant and the tier.
+        StorageError: if the root cannot be written.
+        DatasetError: if the check of the new dataset fails.
 
     Example:
         >>> published = publish("hopper-massdec_25_leggeom", tier="random", episodes=5)
@@ -115,8 +117,8 @@ def publish(
         path = None if policy is None else Path(policy)
         recipe = Recipe(parsed, tier, episodes, seed, path, stochastic)
     if minari_root.taken(recipe.dataset_id) and not force:
-        _check_same(recipe.dataset_id, recipe.stated())
-        return _summary(recipe.dataset_id, created=False)
+        _check_same_recipe(recipe.dataset_id, recipe.stated())
+        return _read_outcome(recipe.dataset_id, created=False)
     start = time.monotonic()
     made_by = recipe.parts()
     metadata = reference_scores(recipe.variant) | recipe.stated() | {"tier": recipe.tier}
@@ -128,19 +130,19 @@ def publish(
         staged.mkdir()
         record_shares(recipe, made_by, staged / "data", jobs, on_episode)
         dataset = NewDataset(recipe.dataset_id, recipe.attributes, canonical_mjcf(recipe.variant), metadata)
-        created = _commit(staged, dataset, force)
-    return _summary(recipe.dataset_id, created=created, seconds=time.monotonic() - start)
+        created = _check_and_commit(staged, dataset, force)
+    return _read_outcome(recipe.dataset_id, created=created, seconds=time.monotonic() - start)
 
 
 @dataclass(frozen=True)
 class NewDataset:
-    """What identifies a dataset whose episodes are there.
+    """A dataset to be published, without its episodes.
 
     Attributes:
-        dataset_id: the id under which it is published.
-        attributes: what the file carries, and every episode.
-        mjcf: the MJCF text that its environment runs.
-        metadata: what ``metadata.json`` states beside what follows from the episodes.
+        dataset_id: the dataset's id.
+        attributes: attributes of the file and of every episode.
+        mjcf: the MJCF text of its environment.
+        metadata: the entries of ``metadata.json`` that do not follow from the episodes.
     """
 
     dataset_id: str
@@ -152,22 +154,25 @@ class NewDataset:
 def publish_episodes(
     dataset: NewDataset, spec: EnvSpec, episodes: Iterable[EpisodeBuffer], *, force: bool = False
 ) -> Published:
-    """Publish episodes that were made elsewhere: staged, checked and committed as any other dataset.
+    """Publish given episodes as a dataset.
 
     Args:
-        dataset: what identifies it.
-        spec: the environment that the dataset recovers.
-        episodes: its episodes, in order.
-        force: replace a dataset that has the id.
+        dataset: the dataset, without its episodes.
+        spec: specification of the environment that the dataset recovers.
+        episodes: the episodes, in order.
+        force: replace the dataset that has the id.
 
     Raises:
-        DatasetExistsError: when the root has another dataset with this id and ``force`` is false.
-        ImujocoError: when the root cannot be written, or the check of the staged dataset fails.
+        DatasetExistsError: if the root has another dataset with this id and ``force`` is false.
+        StorageError: if the root cannot be written.
+        DatasetError: if the check of the new dataset fails.
     """
     dataset_id = dataset.dataset_id
     if minari_root.taken(dataset_id) and not force:
-        _check_same(dataset_id, {key: dataset.metadata[key] for key in _SOURCE if key in dataset.metadata})
-        return _summary(dataset_id, created=False)
+        _check_same_recipe(
+            dataset_id, {key: dataset.metadata[key] for key in _ORIGIN_KEYS if key in dataset.metadata}
+        )
+        return _read_outcome(dataset_id, created=False)
     start = time.monotonic()
     with minari_root.staging(dataset_id) as folder:
         staged = folder / "dataset"
@@ -179,29 +184,29 @@ def publish_episodes(
             storage.update_episodes(episodes)
         finally:
             storage.flush()
-        created = _commit(staged, dataset, force)
-    return _summary(dataset_id, created=created, seconds=time.monotonic() - start)
+        created = _check_and_commit(staged, dataset, force)
+    return _read_outcome(dataset_id, created=created, seconds=time.monotonic() - start)
 
 
-# Metadata of imported data that tell one source from another.
-_SOURCE = ("source", "source_sha256", "seed", "policy_sha256")
+# Metadata keys that identify the origin of given episodes.
+_ORIGIN_KEYS = ("source", "source_sha256", "seed", "policy_sha256")
 
 
-def _check_same(dataset_id: str, asked: Mapping[str, Any]) -> None:
-    """Raise unless the dataset with this id was made as is asked for now."""
+def _check_same_recipe(dataset_id: str, asked: Mapping[str, Any]) -> None:
+    """Raise a DatasetExistsError if the dataset with this id differs from the requested one."""
     stated = read_metadata(minari_root.dataset_folder(dataset_id) / "data")
     differing = {key: value for key, value in asked.items() if stated.get(key, value) != value}
     if differing:
-        has = ", ".join(_shown(key, stated[key]) for key in differing)
-        wanted = ", ".join(_shown(key, value) for key, value in differing.items())
+        has = ", ".join(_format_value(key, stated[key]) for key in differing)
+        wanted = ", ".join(_format_value(key, value) for key, value in differing.items())
         raise DatasetExistsError(
             f"{dataset_id} is already published, but differs: it has {has}; you asked for {wanted}. "
             "Replace it with --force (force=True), or choose another tier"
         )
 
 
-def _shown(key: str, value: Any) -> str:
-    """Return a value of the metadata as a message shows it."""
+def _format_value(key: str, value: Any) -> str:
+    """Return a value of the metadata as text for a message."""
     if key == "total_episodes":
         return f"{value} episodes"
     if key == "policy_deterministic":
@@ -209,8 +214,8 @@ def _shown(key: str, value: Any) -> str:
     return f"{key.removesuffix('_sha256')} {clipped(value)}"
 
 
-def _commit(staged: Path, dataset: NewDataset, force: bool) -> bool:
-    """Seal, check and commit a staged dataset; return False if another publisher of the id was faster."""
+def _check_and_commit(staged: Path, dataset: NewDataset, force: bool) -> bool:
+    """Complete, check and commit a staged dataset; return False if another process was faster."""
     data, dataset_id = staged / "data", dataset.dataset_id
     with writing(file_format.main_file(data)) as file:
         digests = {
@@ -221,7 +226,7 @@ def _commit(staged: Path, dataset: NewDataset, force: bool) -> bool:
     complete_metadata(data, {**dataset.metadata, **dataset.attributes, **digests, "dataset_id": dataset_id})
     findings = inspect(data, replay_episodes=1)
     if findings:
-        raise DatasetError(f"{dataset_id}: not published, its check found: {findings[0]}")
+        raise DatasetError(f"{dataset_id}: not published, because its check found: {findings[0]}")
     try:
         minari_root.commit(staged, dataset_id, replace=force)
     except DatasetExistsError:
@@ -238,32 +243,32 @@ def publish_all(
     force: bool = False,
     backend: str | None = None,
 ) -> Iterator[Published]:
-    """Publish many datasets and yield each outcome as it comes, failures included.
+    """Publish many datasets and yield each outcome when it is ready, failures included.
 
     Args:
-        recipes: what to publish; their order is kept with one job.
-        jobs: how many are worked on at once, each in a process of its own.
-        force: replace datasets that have the ids.
-        backend: where; see :func:`imujoco_minari.parallel.run_jobs`.
+        recipes: the recipes. One job publishes them in this order.
+        jobs: number of processes. Each publishes one dataset at a time.
+        force: replace the datasets that have the ids.
+        backend: see :func:`imujoco_minari.parallel.run_jobs`.
 
     Raises:
-        JobError: when the back end cannot be used.
+        JobError: if the back end cannot be used.
     """
-    work = partial(_attempt, force=force)
+    work = partial(_publish_or_report, force=force)
     for number, outcome in run_jobs(work, recipes, jobs=jobs, backend=backend):
         if isinstance(outcome, JobError):
             outcome = Published(recipes[number].dataset_id, error=str(outcome))
         yield outcome
 
 
-def _attempt(recipe: Recipe, force: bool) -> Published:
+def _publish_or_report(recipe: Recipe, force: bool) -> Published:
     try:
         return publish(recipe, force=force)
     except ImujocoError as error:
         return Published(recipe.dataset_id, error=str(error), missing=isinstance(error, NotFoundError))
 
 
-def _summary(dataset_id: str, *, created: bool, seconds: float = 0.0) -> Published:
+def _read_outcome(dataset_id: str, *, created: bool, seconds: float = 0.0) -> Published:
     path = minari_root.dataset_folder(dataset_id)
     try:
         with h5py.File(file_format.main_file(path / "data"), "r") as file:
@@ -272,7 +277,7 @@ def _summary(dataset_id: str, *, created: bool, seconds: float = 0.0) -> Publish
             digest = str(file.attrs.get("content_sha256", ""))
     except (OSError, KeyError, ValueError, TypeError, AttributeError, RuntimeError) as error:
         raise DatasetError(
-            f"{dataset_id}: there is something at {path}, but no whole dataset of ours: {error}"
+            f"{dataset_id}: {path} exists, but is not a complete dataset of this package: {error}"
         ) from None
     return Published(
         dataset_id,

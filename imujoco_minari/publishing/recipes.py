@@ -1,4 +1,4 @@
-"""Recipes: all that decides what a dataset holds."""
+"""Recipes: everything that decides the content of a dataset, beside software versions."""
 
 from __future__ import annotations
 
@@ -16,15 +16,22 @@ from imujoco_minari.variants import EXPERT, Variant
 
 @dataclass(frozen=True)
 class Recipe:
-    """All that decides the content of a dataset, beside the versions of the software.
+    """Everything that decides the content of a dataset, beside software versions.
 
     Attributes:
-        variant: whose environment is stepped.
-        tier: which policy makes the data; part of the dataset's id.
-        episodes: how many.
-        seed: base seed of all that is random.
-        policy: a policy file to use instead of the shipped one.
+        variant: the variant to step.
+        tier: the tier, which names the policy and is part of the dataset's id.
+        episodes: number of episodes.
+        seed: base seed of all random numbers.
+        policy: a policy file to use instead of the shipped policy.
         stochastic: sample the actions instead of taking the policy's mode.
+
+    Raises:
+        DatasetError: if ``episodes`` is less than 1 or ``seed`` is negative.
+
+    Example:
+        >>> Recipe(Variant.parse("hopper-base"), tier="random").dataset_id
+        'imujoco/hopper-base-random-v0'
     """
 
     variant: Variant
@@ -38,29 +45,29 @@ class Recipe:
         if self.episodes < 1:
             raise DatasetError(f"a dataset has at least one episode, not {self.episodes}")
         if self.seed < 0:
-            raise DatasetError(f"a seed is not negative, as {self.seed} is")
+            raise DatasetError(f"a seed must not be negative: {self.seed}")
 
     @property
     def dataset_id(self) -> str:
-        """The id under which the dataset is published."""
+        """The id of the dataset."""
         return self.variant.dataset_id(self.tier)
 
     @property
     def attributes(self) -> dict[str, Any]:
-        """What the dataset's root and each of its episodes carry."""
+        """Attributes of the file and of each episode."""
         return file_format.attributes(self.variant, self.tier)
 
     @property
     def episode_attributes(self) -> dict[str, Any]:
-        """What each episode carries: whence it came too, which a collection of it then says."""
+        """Attributes of each episode: those of the file, and the dataset as its ``source``."""
         return self.attributes | {"source": self.dataset_id}
 
     def parts(self) -> list[TierPart]:
-        """Return the policies that make the dataset, and how many episodes each."""
+        """Return the parts of the dataset, each of one policy, in the order of the episodes."""
         return parts(self.variant, self.tier, self.episodes, path=self.policy, stochastic=self.stochastic)
 
     def stated(self) -> dict[str, Any]:
-        """Return the metadata by which a dataset of this recipe is told from others of the same id."""
+        """Return the metadata that distinguish a dataset of this recipe from others with the same id."""
         policies = [part.policy for part in self.parts()]
         return {
             "total_episodes": self.episodes,
@@ -71,12 +78,12 @@ class Recipe:
 
 
 def algorithms(policies: Sequence[Policy]) -> str:
-    """Return the names of the policies' algorithms, as a dataset's metadata states them."""
+    """Return the names of the policies' algorithms as text for the metadata."""
     return ", ".join(dict.fromkeys(policy.algorithm for policy in policies))
 
 
 def description(recipe: Recipe, made_by: Sequence[TierPart]) -> str:
-    """Return the description in a dataset's metadata: one or two sentences."""
+    """Return the description of a dataset for its metadata, in one or two sentences."""
     variant, policies = recipe.variant, [part.policy for part in made_by]
     change = (
         "unchanged"

@@ -51,7 +51,7 @@ def delete(dataset_ids: Sequence[str], *, force: bool = False) -> Iterator[Delet
         dataset_id = min(pending, key=lambda each: len(links.get(each, set()) & set(pending)))
         pending.remove(dataset_id)
         try:
-            with minari_root.failures_named(minari_root.dataset_folder(dataset_id)):
+            with minari_root.storage_errors(minari_root.dataset_folder(dataset_id)):
                 outcome = _delete(dataset_id, set() if force else links.get(dataset_id, set()))
         except ImujocoError as error:
             outcome = Deleted(dataset_id, error=str(error), missing=isinstance(error, NotFoundError))

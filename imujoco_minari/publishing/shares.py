@@ -1,4 +1,4 @@
-"""A recipe's episodes, recorded in shares by one process or several, and joined in order."""
+"""Records a recipe's episodes in shares, in one process or several, and joins the shares in order."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ OnEpisode = Callable[[], None]
 
 @dataclass(frozen=True)
 class _Share:
-    """Episodes of one part of a dataset that are recorded in one go, in a folder."""
+    """Some episodes of one part of a dataset that one process records in a folder."""
 
     part: TierPart
     episodes: Sequence[int]
@@ -35,22 +35,33 @@ class _Share:
 def record_shares(
     recipe: Recipe, made_by: Sequence[TierPart], data: Path, jobs: int, on_episode: OnEpisode
 ) -> None:
-    """Record the recipe's episodes in ``data``, in shares that are joined in order."""
-    shares = list(_shares(made_by, data, jobs))
+    """Record a recipe's episodes in shares and join them in order.
+
+    Args:
+        recipe: the recipe.
+        made_by: the parts of the dataset.
+        data: the new ``data`` folder of the dataset.
+        jobs: number of processes.
+        on_episode: called for each recorded episode.
+
+    Raises:
+        JobError: if a share is lost with its process.
+    """
+    shares = list(_divide(made_by, data, jobs))
     if jobs == 1:
         for share in shares:
-            _record(recipe, share, on_episode)
+            _record_share(recipe, share, on_episode)
     else:
-        for number, outcome in run_jobs(partial(_record, recipe), shares, jobs=jobs):
+        for number, outcome in run_jobs(partial(_record_share, recipe), shares, jobs=jobs):
             if isinstance(outcome, JobError):
                 raise outcome
             for _ in shares[number].episodes:
                 on_episode()
-    _join([share.folder for share in shares], data)
+    _join_shares([share.folder for share in shares], data)
 
 
-def _shares(made_by: Sequence[TierPart], data: Path, jobs: int) -> Iterator[_Share]:
-    """Divide the episodes: one share a part with one job, about four a job with several."""
+def _divide(made_by: Sequence[TierPart], data: Path, jobs: int) -> Iterator[_Share]:
+    """Divide the episodes: one share per part for one job, about four shares per job for several."""
     first = number = 0
     for part in made_by:
         wanted = 1 if jobs == 1 else -(-4 * jobs // len(made_by))
@@ -60,8 +71,8 @@ def _shares(made_by: Sequence[TierPart], data: Path, jobs: int) -> Iterator[_Sha
         first += part.episodes
 
 
-def _record(recipe: Recipe, share: _Share, on_episode: OnEpisode = lambda: None) -> None:
-    """Record a share, in the place of what a lost worker left in its folder."""
+def _record_share(recipe: Recipe, share: _Share, on_episode: OnEpisode = lambda: None) -> None:
+    """Record a share, after removing what a lost worker left in its folder."""
     shutil.rmtree(share.folder, ignore_errors=True)
     attributes = {**recipe.episode_attributes, **share.part.attributes}
     collect(
@@ -69,8 +80,8 @@ def _record(recipe: Recipe, share: _Share, on_episode: OnEpisode = lambda: None)
     )
 
 
-def _join(folders: Sequence[Path], data: Path) -> None:
-    """Move the episodes of all folders, in order, behind those of the first, which becomes ``data``."""
+def _join_shares(folders: Sequence[Path], data: Path) -> None:
+    """Append the episodes of all folders to the first, in order, and rename it to ``data``."""
     first, *others = folders
     if not others:
         first.rename(data)

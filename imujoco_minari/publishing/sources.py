@@ -1,4 +1,4 @@
-"""The datasets that go into a collection: read once, without running anything, and checked to make one."""
+"""The sources of a collection: reads their metadata once, runs no code of them, checks that they fit."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from imujoco_minari.storage.missing import not_in_root
 
 @dataclass(frozen=True)
 class Source:
-    """One dataset, or view of one, that goes into a collection.
+    """A dataset, or some episodes of it, that goes into a collection.
 
     Attributes:
-        dataset_id: its id.
-        data: its ``data`` folder.
-        folder: device and inode of that folder, by which a replaced dataset is noticed.
-        metadata: the content of its ``metadata.json``, read once.
-        episodes: numbers of the episodes that go in.
-        observation_space: the space that its metadata states.
-        action_space: the space that its metadata states.
-        env_spec: the specification of its environment; None if it states none.
+        dataset_id: id of the dataset.
+        data: ``data`` folder of the dataset.
+        folder: device and inode of that folder. They change if the dataset is replaced.
+        metadata: content of ``metadata.json``, read once.
+        episodes: numbers of the episodes to use.
+        observation_space: observation space, from the metadata.
+        action_space: action space, from the metadata.
+        env_spec: specification of the environment, from the metadata; None if it states none.
     """
 
     dataset_id: str
@@ -46,26 +46,26 @@ class Source:
 
     @property
     def file(self) -> Path:
-        """Its HDF5 file."""
+        """The HDF5 file of the dataset."""
         return file_format.main_file(self.data)
 
     @property
     def whole(self) -> bool:
-        """Whether all its episodes go in, in their order."""
+        """Whether all episodes of the dataset are used, in their order."""
         return list(self.episodes) == list(range(int(self.metadata.get("total_episodes", -1))))
 
     @contextmanager
     def opened(self) -> Iterator[h5py.File]:
-        """Open the HDF5 file, of the same dataset as the metadata.
+        """Open the HDF5 file and check that it belongs to the metadata.
 
         Raises:
-            DatasetError: when the dataset was replaced or deleted since its metadata were read.
+            DatasetError: if the dataset was replaced or deleted after its metadata were read.
         """
         try:
             with h5py.File(self.file, "r") as file:
-                if self.folder != _folder(self.data) or self._digest(file.attrs) != self._digest(
-                    self.metadata
-                ):
+                if self.folder != _device_and_inode(self.data) or self._stated_digest(
+                    file.attrs
+                ) != self._stated_digest(self.metadata):
                     raise DatasetError(
                         f"{self.dataset_id} was replaced while it was read: nothing was combined; try again"
                     )
@@ -76,13 +76,13 @@ class Source:
             ) from None
 
     def attributes(self, file: h5py.File) -> list[dict[str, Any]]:
-        """Return the identifying attributes of each episode that goes in."""
+        """Return the identifying attributes of each episode."""
         if all(key in file.attrs for key in file_format.IDENTITY):
             return [{key: file.attrs[key] for key in file_format.IDENTITY}] * len(self.episodes)
         return copying.episode_attributes(file, self.episodes, file_format.IDENTITY)
 
     @staticmethod
-    def _digest(stated: Any) -> Any:
+    def _stated_digest(stated: Any) -> Any:
         return stated.get("content_sha256")
 
 
@@ -90,8 +90,9 @@ def open_source(dataset: MinariDataset | str) -> Source:
     """Return a dataset, or the dataset with this id, as a source.
 
     Raises:
-        DatasetNotFoundError: when no dataset of the Minari root has the id.
-        DatasetError: when it cannot be loaded, or only by running what its metadata name.
+        DatasetNotFoundError: if the Minari root has no dataset with the id.
+        DatasetError: if the dataset is not HDF5, its metadata is malformed, or loading it would run code
+            that its metadata names.
     """
     if isinstance(dataset, str):
         dataset_id, data = dataset, minari_root.dataset_folder(dataset) / "data"
@@ -104,19 +105,19 @@ def open_source(dataset: MinariDataset | str) -> Source:
         dataset_id, data = dataset.id, Path(dataset.storage.data_path)
         chosen = [int(index) for index in dataset.episode_indices]
     else:
-        raise DatasetError(f"a dataset is a Minari dataset or its id, not {type(dataset).__name__}")
+        raise DatasetError(f"a source must be a Minari dataset or its id, not {type(dataset).__name__}")
     try:
-        folder = _folder(data)
+        folder = _device_and_inode(data)
     except OSError:
         raise DatasetNotFoundError(f"{dataset_id} was deleted: {data} does not exist") from None
     metadata = read_metadata(data)
     if metadata.get("data_format", "hdf5") != "hdf5":
         raise DatasetError(f"{dataset_id} is stored as {metadata['data_format']}; valid: hdf5")
-    spaces = [_space(dataset_id, metadata, key) for key in ("observation_space", "action_space")]
+    spaces = [_read_space(dataset_id, metadata, key) for key in ("observation_space", "action_space")]
     total = metadata.get("total_episodes")
     if not isinstance(total, int):
         raise DatasetError(
-            f"{dataset_id} does not state how many episodes it has; see `imujoco verify {dataset_id}`"
+            f"{dataset_id} does not state its number of episodes; see `imujoco verify {dataset_id}`"
         )
     return Source(
         dataset_id=dataset_id,
@@ -126,20 +127,20 @@ def open_source(dataset: MinariDataset | str) -> Source:
         episodes=range(total) if chosen is None else chosen,
         observation_space=spaces[0],
         action_space=spaces[1],
-        env_spec=_env_spec(dataset_id, metadata),
+        env_spec=_read_env_spec(dataset_id, metadata),
     )
 
 
 def check_sources(sources: Sequence[Source]) -> None:
-    """Raise a DatasetError unless the sources make one collection."""
+    """Raise a DatasetError if there are no episodes, or if the robots or the spaces of the sources differ."""
     if not sources:
-        raise DatasetError("there is nothing to combine: no dataset was given")
+        raise DatasetError("nothing to combine: no dataset was given")
     if not any(source.episodes for source in sources):
-        raise DatasetError("there is nothing to combine: the datasets hold no episodes")
+        raise DatasetError("nothing to combine: the datasets have no episodes")
     robots = {str(source.metadata.get("robot", "unknown")): source.dataset_id for source in sources}
     if len(robots) > 1:
         raise DatasetError(
-            "a collection holds one robot, but these are of several: "
+            "a collection has datasets of one robot, but these are of several: "
             + ", ".join(f"{robot} ({dataset_id})" for robot, dataset_id in robots.items())
         )
     first = sources[0]
@@ -153,29 +154,29 @@ def check_sources(sources: Sequence[Source]) -> None:
                 )
 
 
-def _folder(data: Path) -> tuple[int, int]:
+def _device_and_inode(data: Path) -> tuple[int, int]:
     state = data.stat()
     return state.st_dev, state.st_ino
 
 
-def _space(dataset_id: str, metadata: dict[str, Any], key: str) -> gym.Space[Any]:
+def _read_space(dataset_id: str, metadata: dict[str, Any], key: str) -> gym.Space[Any]:
     text = metadata.get(key)
     if not isinstance(text, str):
-        # Minari would make the environment to ask it for its space, and the environment may be anything.
+        # Minari would make the environment to get its space, and that may run any code.
         raise DatasetError(
-            f"{dataset_id} does not state its {key}, so that Minari would run its environment: "
+            f"{dataset_id} does not state its {key}, so Minari would run its environment: "
             f"do not load it; see `imujoco verify {dataset_id}`"
         )
     try:
         space: gym.Space[Any] = deserialize_space(text)
-    except Exception as error:  # Minari asserts and raises various errors on odd text
+    except Exception as error:  # Minari raises many kinds of errors on malformed text
         raise DatasetError(
             f"{dataset_id} cannot be loaded: its {key} is malformed: {str(error)[:200]}"
         ) from None
     return space
 
 
-def _env_spec(dataset_id: str, metadata: dict[str, Any]) -> EnvSpec | None:
+def _read_env_spec(dataset_id: str, metadata: dict[str, Any]) -> EnvSpec | None:
     text = metadata.get("env_spec")
     if text is None:
         return None

@@ -1,4 +1,4 @@
-"""The tier ``replay``: the transitions of a training run, recorded as it explores and learns."""
+"""The tier ``replay``: records the transitions of a training run and publishes them."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from imujoco_minari.training.run import OnInterval, Progress, Run, Task
 
 
 class WholeEpisodeCollector(StorageCollector):
-    """A collector that forgets an episode cut short, as each interval of a training run cuts its last one.
+    """A collector that discards unfinished episodes. Each interval of a training run cuts its last episode.
 
-    Such an episode ends neither by termination nor by the time limit, so a replay would not end there.
+    A cut episode ends neither by termination nor by the time limit, so its replay would not end either.
     """
 
     def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode, and forget the episode that has not ended."""
+        """Discard the unfinished episode and begin a new one."""
         self.forget()
         return super().reset(**kwargs)
 
@@ -39,19 +39,24 @@ class WholeEpisodeCollector(StorageCollector):
 def record_training(
     task: Task, folder: Path, *, force: bool = False, on_interval: OnInterval | None = None
 ) -> Published:
-    """Train a task to its last step and publish its whole episodes as the variant's tier ``replay``.
+    """Train a task to its end and publish its complete episodes as the variant's tier ``replay``.
 
-    A killed run begins anew, since its transitions are stored nowhere else. The policy is not installed.
+    A killed run must start again, because its transitions are stored nowhere else. The policy is not
+    installed.
 
     Args:
-        task: what to train.
-        folder: state of the run; its present content is removed.
-        force: replace a dataset that has the id.
-        on_interval: called with the run's progress and hyperparameters after every evaluation.
+        task: the training run.
+        folder: state of the run. Its present content is removed.
+        force: replace the dataset that has the id.
+        on_interval: called with the run's progress and hyperparameters after every interval.
+
+    Raises:
+        DatasetExistsError: if the root has another dataset with this id and ``force`` is false.
+        DatasetError: if the check of the new dataset fails.
     """
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    # The tier holds transitions of this variant alone, none of milder variants.
+    # The tier has transitions of this variant only, not of milder variants.
     task = replace(task, settings=replace(task.settings, stones=0))
     storages: list[EpisodeStorage] = []
 
@@ -71,15 +76,15 @@ def record_training(
         dataset_id,
         file_format.attributes(task.variant, REPLAY) | {"source": dataset_id},
         canonical_mjcf(task.variant),
-        _metadata(task, run.progress),
+        _dataset_metadata(task, run.progress),
     )
-    recorded = _episodes(folder / "recorded")
+    recorded = _read_episodes(folder / "recorded")
     published = publish_episodes(dataset, environment_spec(task.variant), recorded, force=force)
     shutil.rmtree(folder)
     return published
 
 
-def _episodes(recorded: Path) -> Iterator[EpisodeBuffer]:
+def _read_episodes(recorded: Path) -> Iterator[EpisodeBuffer]:
     storage = MinariStorage.read(recorded)
     numbers = range(storage.total_episodes)
     seeds = (attrs["seed"] for attrs in storage.get_episode_metadata(numbers))
@@ -87,7 +92,7 @@ def _episodes(recorded: Path) -> Iterator[EpisodeBuffer]:
         yield EpisodeBuffer(seed=seed, **{key: episode[key] for key in file_format.ARRAYS})
 
 
-def _metadata(task: Task, progress: Progress) -> dict[str, Any]:
+def _dataset_metadata(task: Task, progress: Progress) -> dict[str, Any]:
     algorithm = task.settings.algorithm
     return {
         **reference_scores(task.variant),
@@ -95,7 +100,7 @@ def _metadata(task: Task, progress: Progress) -> dict[str, Any]:
             algorithm=algorithm,
             description=(
                 f"iMuJoCo, rebuilt: the transitions of a training run of {algorithm} on {task.variant}, "
-                f"{progress.steps} steps from {task.start}, in the order in which they were made. "
+                f"{progress.steps} steps from {task.start}, in the order of the run. "
                 "Episodes that an evaluation cut short are left out."
             ),
         ),

@@ -1,8 +1,8 @@
 """Sharing datasets through Minari's remotes, ``hf://user`` and ``gcp://bucket``: push and pull.
 
-A remote holds the layout of stock Minari: ``minari list remote`` and ``minari.download_dataset`` work
-without this package. Pushing and pulling also check the digests on both ends, and never show a half-written
-dataset.
+A remote has the layout of stock Minari, so ``minari list remote`` and ``minari.download_dataset`` work
+without this package. ``push`` and ``pull`` also check the digests on both ends, and show
+complete datasets only.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Dataset cards: the page that a dataset, and a namespace of them, shows on a remote.
+"""Dataset cards: the Markdown page of a dataset or a namespace on a remote.
 
-The front matter is what a Hugging Face dataset page reads. All numbers come from the dataset itself:
-its metadata, the attributes of its episodes, and the compiled models behind it.
+The front matter is the YAML that Hugging Face reads. All numbers come from the dataset itself: its metadata,
+the attributes of its episodes, and the compiled models of its environments.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from imujoco_minari.policies.tiers import RANDOM, REPLAY, TIERS
 from imujoco_minari.storage.file_format import MAIN_FILE, REPLAYABLE
 from imujoco_minari.variants import EXPERT, Variant, parse_dataset_id
 
-# How datasets name this package as their author.
-OURS = "imujoco_minari"
+# The author that datasets of this package state.
+OUR_AUTHOR = "imujoco_minari"
 ORIGINAL = "https://zenodo.org/records/7971395"
 PAPER = "https://arxiv.org/abs/2306.13554"
 CITATION = """@inproceedings{patacchiola2023comparing,
@@ -38,16 +38,16 @@ _TAGS = ("minari", "gymnasium", "mujoco", "imitation-learning", "offline-reinfor
 
 
 def front_matter(title: str, license_: str, steps: int, tags: Sequence[str] = ()) -> str:
-    """Return the YAML block at the head of a card.
+    """Return the YAML block at the start of a card.
 
     Args:
-        title: the name that a page shows.
+        title: title of the page.
         license_: the Hub's name of a licence.
-        steps: number of steps, by which the Hub sorts datasets into sizes.
-        tags: beside those that all datasets of this package have.
+        steps: number of steps. The Hub groups datasets by it.
+        tags: tags of this dataset. The tags of this package are always added.
     """
     lines = ["---", f"license: {license_}", f"pretty_name: {json.dumps(title)}"]
-    # The Hub would take HDF5 for a table and show an error where the card should be.
+    # The Hub would read HDF5 as a table and show an error in place of the card.
     lines += ["viewer: false", "size_categories:", f"- {size_category(steps)}"]
     lines += ["task_categories:", "- reinforcement-learning", "- robotics", "tags:"]
     lines += [f"- {json.dumps(tag)}" for tag in dict.fromkeys((*_TAGS, *tags))]
@@ -55,7 +55,7 @@ def front_matter(title: str, license_: str, steps: int, tags: Sequence[str] = ()
 
 
 def size_category(rows: int) -> str:
-    """Return the Hub's name for datasets of so many rows."""
+    """Return the Hub's size category of a dataset with this number of rows."""
     for limit, name in (*_SIZES, *_LARGER_SIZES):
         if rows < limit:
             return name
@@ -63,7 +63,12 @@ def size_category(rows: int) -> str:
 
 
 def dataset_card(data: Path, remote: str) -> str:
-    """Return the card of the dataset in the folder ``data``, as it is shown at ``remote``."""
+    """Return the card of a dataset as Markdown.
+
+    Args:
+        data: the dataset's ``data`` folder.
+        remote: address of the remote that shows the card.
+    """
     metadata = json.loads((data / "metadata.json").read_text("utf-8"))
     dataset_id = metadata["dataset_id"]
     with h5py.File(data / MAIN_FILE, "r") as file:
@@ -72,24 +77,24 @@ def dataset_card(data: Path, remote: str) -> str:
         lengths = np.array([int(attrs["total_steps"]) for attrs in episodes])
     tags = [str(metadata[key]) for key in ("robot", "category", "tier") if metadata.get(key)]
     parts = [
-        front_matter(dataset_id, _license(metadata), int(metadata["total_steps"]), tags),
+        front_matter(dataset_id, _license_name(metadata), int(metadata["total_steps"]), tags),
         f"# {dataset_id}\n\n{metadata.get('description', '')}\n",
-        *_change(dataset_id),
-        "## Numbers\n\n" + _table(("", ""), _numbers(metadata, returns, lengths)),
-        "## How it is loaded\n\n" + _loading(dataset_id, remote),
-        "## How it was made\n\n" + _making(metadata),
-        _origin([metadata]),
+        *_change_section(dataset_id),
+        "## Numbers\n\n" + _markdown_table(("", ""), _number_rows(metadata, returns, lengths)),
+        "## How to load it\n\n" + _loading_instructions(dataset_id, remote),
+        "## How it was made\n\n" + _provenance_section(metadata),
+        _origin_section([metadata]),
     ]
     return "\n".join(parts)
 
 
 def namespace_card(namespace: str, remote: str, datasets: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return the card of a namespace: a table of the datasets that the remote lists.
+    """Return the card of a namespace as Markdown, with a table of its datasets.
 
     Args:
-        namespace: its name, ``imujoco``.
+        namespace: name of the namespace, such as ``imujoco``.
         remote: address of the remote.
-        datasets: id -> metadata of its datasets.
+        datasets: maps the id of each dataset that the remote lists to its metadata.
     """
     steps = sum(int(metadata.get("total_steps", 0)) for metadata in datasets.values())
     rows = [
@@ -101,7 +106,7 @@ def namespace_card(namespace: str, remote: str, datasets: Mapping[str, Mapping[s
         )
         for dataset_id, metadata in sorted(datasets.items())
     ]
-    licenses = {_license(metadata) for metadata in datasets.values()}
+    licenses = {_license_name(metadata) for metadata in datasets.values()}
     license_ = licenses.pop() if len(licenses) == 1 else "other"
     example = sorted(datasets)[0] if datasets else f"{namespace}/hopper-base-v0"
     return "\n".join(
@@ -110,15 +115,15 @@ def namespace_card(namespace: str, remote: str, datasets: Mapping[str, Mapping[s
             f"# {namespace}\n\nDatasets of Hopper, HalfCheetah and Walker2d, each with one physical "
             "parameter changed, in [Minari](https://minari.farama.org)'s format, made with the Python "
             "package `imujoco-minari`.\n",
-            "## How they are loaded\n\n" + _loading(example, remote),
+            "## How to load them\n\n" + _loading_instructions(example, remote),
             f"## The datasets\n\n{len(datasets)} datasets, {steps:,} steps.\n\n"
-            + _table(("dataset", "episodes", "steps", "policy"), rows),
-            _origin(list(datasets.values())),
+            + _markdown_table(("dataset", "episodes", "steps", "policy"), rows),
+            _origin_section(list(datasets.values())),
         ]
     )
 
 
-def _change(dataset_id: str) -> list[str]:
+def _change_section(dataset_id: str) -> list[str]:
     try:
         variant, _ = parse_dataset_id(dataset_id)
     except VariantError:
@@ -126,10 +131,12 @@ def _change(dataset_id: str) -> list[str]:
     rows = [(d.quantity, f"{d.before:.6g}", f"{d.after:.6g}", d.unit) for d in differences(variant)]
     if not rows:
         return []
-    return ["## What is changed\n\n" + _table(("quantity", str(variant.base), str(variant), "unit"), rows)]
+    return [
+        "## What changes\n\n" + _markdown_table(("quantity", str(variant.base), str(variant), "unit"), rows)
+    ]
 
 
-def _numbers(metadata: Mapping[str, Any], returns: Any, lengths: Any) -> list[tuple[str, str]]:
+def _number_rows(metadata: Mapping[str, Any], returns: Any, lengths: Any) -> list[tuple[str, str]]:
     rows = [
         ("episodes", f"{len(returns)}"),
         ("steps", f"{lengths.sum():,}"),
@@ -149,43 +156,43 @@ def _numbers(metadata: Mapping[str, Any], returns: Any, lengths: Any) -> list[tu
         if isinstance(metadata.get(key), int | float):
             rows.append((name, f"{metadata[key]:.1f}"))
     if metadata.get("combined_datasets"):
-        rows.append(("made of", f"{len(metadata['combined_datasets'])} datasets"))
+        rows.append(("combined from", f"{len(metadata['combined_datasets'])} datasets"))
     return rows
 
 
-def _loading(dataset_id: str, remote: str) -> str:
+def _loading_instructions(dataset_id: str, remote: str) -> str:
     return (
         f'```console\n$ pip install "minari[hdf5,{"hf" if remote.startswith("hf:") else "gcs"}]"\n'
         f"$ export MINARI_REMOTE={remote}\n```\n\n"
         f'```python\nimport minari\n\ndataset = minari.load_dataset("{dataset_id}", download=True)\n```\n\n'
-        "With `imujoco-minari` installed, `dataset.recover_environment()` gives the environment behind it,\n"
-        f"and `imujoco pull {dataset_id} --remote {remote}` checks every digest of what it downloads.\n"
+        "With `imujoco-minari` installed, `dataset.recover_environment()` returns its environment,\n"
+        f"and `imujoco pull {dataset_id} --remote {remote}` checks every digest of the download.\n"
     )
 
 
-def _making(metadata: Mapping[str, Any]) -> str:
+def _provenance_section(metadata: Mapping[str, Any]) -> str:
     rows = [("package", str(metadata.get("code_permalink", "unknown")))]
     for name, number in sorted(metadata.get("versions", {}).items()):
         rows.append((f"version of {name}", str(number)))
     named = ("machine", "seed", "policy_sha256", "mjcf_sha256", "content_sha256")
     rows += [(key.replace("_", " "), f"`{metadata[key]}`") for key in named if key in metadata]
-    command = _command(metadata)
-    said = f"```console\n$ {command}\n```\n\n" if command else ""
+    command = _reproducing_command(metadata)
+    block = f"```console\n$ {command}\n```\n\n" if command else ""
     replay = (
-        "Every episode is reset with its own recorded seed, so that seeds and actions replay the whole "
-        "dataset: `imujoco verify` does, and compares every bit.\n"
+        "Every episode has its own recorded seed, so seeds and actions replay the whole dataset. "
+        "`imujoco verify` replays it and compares every bit.\n"
     )
-    return said + _table(("", ""), rows) + (replay if metadata.get(REPLAYABLE, True) else "")
+    return block + _markdown_table(("", ""), rows) + (replay if metadata.get(REPLAYABLE, True) else "")
 
 
-def _command(metadata: Mapping[str, Any]) -> str:
-    """Return the command that makes the dataset again; empty when no command alone does."""
+def _reproducing_command(metadata: Mapping[str, Any]) -> str:
+    """Return the command that makes the dataset again; empty if no single command does."""
     try:
         variant, tier = parse_dataset_id(str(metadata["dataset_id"]))
     except VariantError:
         sources = metadata.get("combined_datasets")
         return f"imujoco combine {' '.join(sources)} --id {metadata['dataset_id']}" if sources else ""
-    if metadata.get("author") != [OURS]:
+    if metadata.get("author") != [OUR_AUTHOR]:
         return ""
     if tier == REPLAY:
         return f"imujoco train {variant} --record-replay"
@@ -205,27 +212,27 @@ def _publish_command(variant: Variant, tier: str, metadata: Mapping[str, Any]) -
     return command
 
 
-def _origin(datasets: Sequence[Mapping[str, Any]]) -> str:
-    """Say whose the episodes are, and how the original is cited."""
-    others = sorted({str(author) for each in datasets for author in each.get("author", [])} - {OURS})
+def _origin_section(datasets: Sequence[Mapping[str, Any]]) -> str:
+    """Return the section that names the authors of the episodes and cites the original."""
+    others = sorted({str(author) for each in datasets for author in each.get("author", [])} - {OUR_AUTHOR})
     if others:
-        said = f"Episodes or policies are the work of {', '.join(others)}."
+        authors = f"Episodes or policies are by {', '.join(others)}."
     else:
-        said = "These episodes are new ones, not from its archive."
+        authors = "These episodes are new. They are not from its archive."
     return (
         "## Where it comes from\n\n"
-        f"The idea, the variants' names and their counts are iMuJoCo's ([paper]({PAPER}), "
-        f"[data]({ORIGINAL})). {said} Please cite the original:\n\n```bibtex\n{CITATION}\n```\n"
+        f"The idea, the names of the variants and their counts are from iMuJoCo ([paper]({PAPER}), "
+        f"[data]({ORIGINAL})). {authors} Please cite the original:\n\n```bibtex\n{CITATION}\n```\n"
     )
 
 
-def _license(metadata: Mapping[str, Any]) -> str:
-    """Return the Hub's name of a dataset's licence: others' data is not ours to license."""
+def _license_name(metadata: Mapping[str, Any]) -> str:
+    """Return the Hub's name of a dataset's licence; ``unknown`` for external data that states none."""
     if isinstance(metadata.get("license"), str):
         return str(metadata["license"]).lower()
-    return "apache-2.0" if metadata.get("author") == [OURS] else "unknown"
+    return "apache-2.0" if metadata.get("author") == [OUR_AUTHOR] else "unknown"
 
 
-def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def _markdown_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     lines = ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
     return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows), ""]) + "\n"

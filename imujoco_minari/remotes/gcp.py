@@ -1,7 +1,7 @@
-"""``gcp://bucket``: Google Cloud Storage, or an emulator of it named by ``STORAGE_EMULATOR_HOST``.
+"""``gcp://bucket``: Google Cloud Storage, or the emulator at ``STORAGE_EMULATOR_HOST``.
 
-Minari lists whatever has a ``metadata.json``, so that file is written last. A file that is there with the
-same digest is not written again, which is what makes an interrupted push go on where it was.
+Minari lists every folder that has a ``metadata.json``, so that file is written last. A file that the bucket
+holds with the same digest is not written again, so an interrupted push continues where it stopped.
 """
 
 from __future__ import annotations
@@ -22,38 +22,45 @@ _KEY_FILE = "GOOGLE_APPLICATION_CREDENTIALS"
 
 
 class BucketStore(GCPStorage):  # type: ignore[misc,unused-ignore]
-    """Minari's Google Cloud Storage, writing in an order and reading no more than a dataset's files."""
+    """Minari's Google Cloud Storage that writes files in order and reads only a dataset's own files."""
 
     shows_cards = False
 
     @classmethod
     def connect(cls, name: str, token: str | None, writing: bool) -> BucketStore:
-        """Return the bucket ``name``, with the service account key file ``token`` or that of the environment.
+        """Return the store of a bucket.
+
+        Args:
+            name: name of the bucket.
+            token: path of a service account's key file; None reads ``GOOGLE_APPLICATION_CREDENTIALS``.
+            writing: require a key file and an existing bucket.
 
         Raises:
-            RemoteError: when the key file is missing or unreadable.
+            RemoteError: if the key file is missing or unreadable.
         """
         token = token or os.environ.get(_KEY_FILE)
         if "STORAGE_EMULATOR_HOST" in os.environ:
             token = None
         elif token is None and writing:
             raise RemoteError(
-                f"gcp://{name}: no credentials: give the path of a service account's key file with --token, "
+                f"gcp://{name}: no credentials: give the path of a service account's key file with --token "
                 f"or in {_KEY_FILE}"
             )
         if token is not None and not Path(token).is_file():
-            raise RemoteError(f"gcp://{name}: there is no key file at {token}")
+            raise RemoteError(f"gcp://{name}: no key file at {token}")
         try:
             store = cls(name, token)
         except ValueError as error:
-            raise RemoteError(f"gcp://{name}: {token} is no service account's key file: {error}") from error
+            raise RemoteError(
+                f"gcp://{name}: {token} is not a service account's key file: {error}"
+            ) from error
         if writing:
-            # Any listing tells a missing bucket; asking for the bucket itself takes one more permission.
+            # Listing fails on a missing bucket and needs one permission less than asking for the bucket.
             next(iter(store.bucket.list_blobs(max_results=1)), None)
         return store
 
     def read(self, path: str) -> bytes | None:
-        """Return the content of an object, or None when there is none."""
+        """Return the content of an object, or None if it does not exist."""
         try:
             data: bytes = self.bucket.blob(path).download_as_bytes()
         except NotFound:
@@ -61,12 +68,14 @@ class BucketStore(GCPStorage):  # type: ignore[misc,unused-ignore]
         return data
 
     def registered(self, namespace: str, dataset_id: str) -> bool:
-        """Return True: Minari lists every dataset in a bucket that has metadata."""
+        """Return True, since Minari lists every dataset of a bucket that has metadata."""
         return True
 
     def holds(self, dataset_id: str) -> bool:
-        """Return whether the bucket states, for every file of a dataset, the digest of the local file."""
-        return all(self._holds(f"{dataset_id}/{name}", dataset_folder(dataset_id) / name) for name in FILES)
+        """Return whether the bucket's digests of a dataset's files equal those of the local files."""
+        return all(
+            self._holds_file(f"{dataset_id}/{name}", dataset_folder(dataset_id) / name) for name in FILES
+        )
 
     def upload_dataset(self, dataset_id: str, card: str | None = None) -> None:
         """Upload a dataset, its ``metadata.json`` last."""
@@ -74,7 +83,7 @@ class BucketStore(GCPStorage):  # type: ignore[misc,unused-ignore]
             self.bucket.blob(f"{dataset_id}/{CARD}").upload_from_string(card, "text/markdown; charset=utf-8")
         for name in FILES:
             file = dataset_folder(dataset_id) / name
-            if not self._holds(f"{dataset_id}/{name}", file):
+            if not self._holds_file(f"{dataset_id}/{name}", file):
                 self.bucket.blob(f"{dataset_id}/{name}").upload_from_filename(str(file), checksum="md5")
 
     def upload_card(self, namespace: str, card: str) -> None:
@@ -82,7 +91,7 @@ class BucketStore(GCPStorage):  # type: ignore[misc,unused-ignore]
         self.bucket.blob(f"{namespace}/{CARD}").upload_from_string(card, "text/markdown; charset=utf-8")
 
     def download_dataset(self, dataset_id: str, path: Path) -> None:
-        """Download the files of a dataset by their names, so that no other name can lead out of ``path``."""
+        """Download the files of a dataset by fixed names, so no name can lead out of ``path``."""
         for name in FILES:
             target = path / dataset_id / name
             target.parent.mkdir(parents=True, exist_ok=True)
@@ -91,13 +100,13 @@ class BucketStore(GCPStorage):  # type: ignore[misc,unused-ignore]
             except NotFound:
                 raise RemoteError(f"gcp://{self.bucket.name}: {dataset_id} has no {name}") from None
 
-    def _holds(self, path: str, file: Path) -> bool:
+    def _holds_file(self, path: str, file: Path) -> bool:
         blob = self.bucket.get_blob(path)
-        return blob is not None and blob.md5_hash == _md5(file)
+        return blob is not None and blob.md5_hash == _md5_base64(file)
 
 
-def _md5(file: Path) -> str:
-    """Return a file's MD5 as Google Cloud Storage writes it; against accidents, not adversaries."""
+def _md5_base64(file: Path) -> str:
+    """Return a file's MD5 in Google Cloud Storage's encoding. It detects accidents, not attacks."""
     with file.open("rb") as stream:
         digest = hashlib.file_digest(stream, lambda: hashlib.md5(usedforsecurity=False))
     return base64.b64encode(digest.digest()).decode()

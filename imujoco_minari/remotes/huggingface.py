@@ -1,8 +1,8 @@
 """``hf://user``: a namespace is a dataset repository of a Hugging Face user or organisation.
 
 Minari lists the ids that the repository's ``namespace_metadata.json`` registers. Stock Minari uploads a
-dataset and then registers it, through a copy in the local cache that an interruption leaves wrong. Here
-files, card and registration are one commit on a known parent: a push happens as a whole or not at all.
+dataset and then registers it through a copy in the local cache; an interruption leaves that copy wrong. This
+store writes files, card and registration in one commit on a known parent, so a push is complete or absent.
 """
 
 from __future__ import annotations
@@ -26,16 +26,21 @@ _CONFLICTS = (409, 412)
 
 
 class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
-    """Minari's Hugging Face remote, writing in single commits and reading past the local cache."""
+    """Minari's Hugging Face remote that writes in single commits and reads without the local cache."""
 
     shows_cards = True
 
     @classmethod
     def connect(cls, name: str, token: str | None, writing: bool) -> HubStore:
-        """Return the remote of the user or organisation ``name``.
+        """Return the store of a user or an organisation.
+
+        Args:
+            name: the user or organisation.
+            token: a Hugging Face token; None reads the stored one.
+            writing: require a token.
 
         Raises:
-            RemoteError: when something is to be written and there is no token.
+            RemoteError: if ``writing`` is true and no token is found.
         """
         token = token or get_token()
         if token is None and writing:
@@ -45,9 +50,9 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
         return cls(name, token)
 
     def read(self, path: str) -> bytes | None:
-        """Return the content of a file at the head of its repository, or None when there is none."""
+        """Return a file's content at the head of its repository, or None if it does not exist."""
         repository, name = self._decompose_path(path)
-        return self._read(repository, name, None)
+        return self._read_revision(repository, name, None)
 
     def registered(self, namespace: str, dataset_id: str) -> bool:
         """Return whether the repository's namespace metadata names the dataset."""
@@ -57,12 +62,12 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
         )
 
     def holds(self, dataset_id: str) -> bool:
-        """Return whether the Hub states, for every file of a dataset, the digest of the local file."""
+        """Return whether the Hub's digests of a dataset's files equal those of the local files."""
         repository, folder = self._decompose_path(dataset_id)
         files = {f"{folder}/{name}": dataset_folder(dataset_id) / name for name in FILES}
         stated = self._api.get_paths_info(self._repo_id(repository), list(files), repo_type="dataset")
         digests = {entry.path: entry.lfs.sha256 if entry.lfs else entry.blob_id for entry in stated}
-        return all(digests.get(path) in _digests(file) for path, file in files.items())
+        return all(digests.get(path) in _possible_digests(file) for path, file in files.items())
 
     def upload_dataset(self, dataset_id: str, card: str | None = None) -> None:
         """Upload a dataset's files and card and register its id, in one commit."""
@@ -74,11 +79,11 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
         for attempt in range(_ATTEMPTS):
             head = self._api.repo_info(self._repo_id(repository), repo_type="dataset").sha
             try:
-                registry = self._registry_with(repository, dataset_id, head)
+                registry = self._registry_including(repository, dataset_id, head)
                 self._commit(repository, files | {NAMESPACE_FILE: registry}, f"Add {dataset_id}", head)
                 return
             except HfHubHTTPError as error:
-                # Another push came between; what it registered is read and kept in the next attempt.
+                # Another push was faster. The next attempt reads its registration and keeps it.
                 if error.response.status_code not in _CONFLICTS or attempt == _ATTEMPTS - 1:
                     raise
 
@@ -89,7 +94,7 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
         self._commit(repository, {name: card.encode()}, "Describe the datasets", None)
 
     def download_dataset(self, dataset_id: str, path: Path) -> None:
-        """Download the files of a dataset by their names, all of one commit."""
+        """Download the files of a dataset by fixed names, all from one commit."""
         repository, folder = self._decompose_path(dataset_id)
         head = self._api.repo_info(self._repo_id(repository), repo_type="dataset").sha
         for name in FILES:
@@ -104,8 +109,8 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
             except RemoteEntryNotFoundError:
                 raise RemoteError(f"hf://{self.name}: {dataset_id} has no {name}") from None
 
-    def _read(self, repository: str, name: str, revision: str | None) -> bytes | None:
-        # Into a folder of its own: what stock Minari left in the cache is not what the remote holds.
+    def _read_revision(self, repository: str, name: str, revision: str | None) -> bytes | None:
+        # A temporary folder, because stock Minari's cache may differ from the remote.
         with tempfile.TemporaryDirectory() as folder:
             try:
                 file = self._api.hf_hub_download(
@@ -119,8 +124,8 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
                 return None
             return Path(file).read_bytes()
 
-    def _registry_with(self, repository: str, dataset_id: str, head: str) -> bytes:
-        data = self._read(repository, NAMESPACE_FILE, head)
+    def _registry_including(self, repository: str, dataset_id: str, head: str) -> bytes:
+        data = self._read_revision(repository, NAMESPACE_FILE, head)
         registry = {} if data is None else parse_object(data, namespace_file(repository))
         registry["datasets"] = sorted({*registry.get("datasets", []), dataset_id})
         return json.dumps(registry).encode()
@@ -141,8 +146,8 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
         return f"{self.name}/{repository}"
 
 
-def _digests(file: Path) -> tuple[str, str]:
-    """Return a file's digests as the Hub states them: of a large file, and of one that lies in git."""
+def _possible_digests(file: Path) -> tuple[str, str]:
+    """Return the two digests that the Hub may state: SHA-256 for a large file, else the git blob id."""
     data = file.read_bytes()
     blob = hashlib.sha1(b"blob %d\0" % len(data) + data, usedforsecurity=False)
     return hashlib.sha256(data).hexdigest(), blob.hexdigest()

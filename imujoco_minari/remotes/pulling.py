@@ -1,7 +1,7 @@
-"""From a remote into the Minari root: download into staging, check, commit.
+"""From a remote into the Minari root: download into a staging folder, check, commit.
 
-What comes from elsewhere is not trusted: only the files of a dataset are fetched, a child process reads
-them first, and nothing is visible before :mod:`imujoco_minari.verification` found nothing wrong with it.
+Downloaded data is not trusted. Only the files of a dataset are fetched, and a child process reads them first.
+A dataset becomes visible after :mod:`imujoco_minari.verification` found nothing wrong with it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError, NotFoundError
 from imujoco_minari.remotes.connecting import connect
-from imujoco_minari.remotes.stores import Store, explained, metadata, sources_of
+from imujoco_minari.remotes.stores import Store, metadata, remote_errors, sources_of
 from imujoco_minari.storage import copying, file_format, minari_root
 from imujoco_minari.storage.metadata import read_metadata
 from imujoco_minari.verification import Finding, child_process, inspect
@@ -27,17 +27,17 @@ from imujoco_minari.verification import Finding, child_process, inspect
 
 @dataclass(frozen=True)
 class Pulled:
-    """What became of one dataset.
+    """The outcome of pulling one dataset.
 
     Attributes:
         dataset_id: the dataset's id.
         remote: address of the remote.
-        path: its folder; None when it failed.
-        downloaded: whether this call fetched it; False when it was in the root already.
-        content_sha256: digest of its arrays; empty for a linked collection, which has none of its own.
-        same_simulator: whether the simulator here is the one that made it, so that a replay is exact.
+        path: folder of the dataset; None if the pull failed.
+        downloaded: whether this call downloaded it; False if the root had it already.
+        content_sha256: digest of its arrays; empty for a linked collection, which has no arrays.
+        same_simulator: whether this machine has the versions that made it, so a replay is exact.
         seconds: wall time.
-        error: why it failed; empty when it did not.
+        error: why the pull failed; empty on success.
         missing: whether it failed because something that was asked for does not exist.
     """
 
@@ -53,55 +53,67 @@ class Pulled:
 
 
 def pull(dataset_id: str, remote: str, *, token: str | None = None, force: bool = False) -> list[Pulled]:
-    """Download a dataset from a remote, and before it the datasets that it is made of.
+    """Download a dataset from a remote into the Minari root, with its sources.
 
     Args:
-        dataset_id: a dataset that this package published, or a collection of such.
+        dataset_id: a dataset that this package published, or a collection of such datasets.
         remote: ``hf://user`` or ``gcp://bucket``.
-        token: a Hugging Face token, or the path of a service account's key file; public data needs none.
-        force: replace a dataset of the root that has the id. A dataset that it is made of is not replaced.
+        token: a Hugging Face token, or the path of a service account's key file. Public data needs none.
+        force: replace the dataset of the root that has this id. Sources are never replaced.
 
     Returns:
-        What was downloaded or was there already, the dataset itself last.
+        One outcome for each source, then the outcome of the dataset itself.
 
     Raises:
-        DatasetNotFoundError: when the remote lists no such dataset.
-        DatasetError: when what was downloaded is not whole and sound, or the root holds other content under
-            the id of a dataset that it is made of; nothing has changed then.
-        RemoteError: when the remote cannot be reached or refuses.
+        DatasetNotFoundError: if the remote lists no such dataset.
+        DatasetError: if the download is damaged, or the root has other content under the id of a source.
+            The root is unchanged then.
+        RemoteError: if the remote cannot be reached or refuses.
+
+    Example:
+        >>> pull("imujoco/hopper-base-v0", "hf://user")[-1].downloaded
+        True
     """
     replaceable = {dataset_id} if force else set[str]()
-    return list(_pull(connect(remote, token=token), dataset_id, remote, replaceable, set()))
+    return list(_pull_with_sources(connect(remote, token=token), dataset_id, remote, replaceable, set()))
 
 
 def pull_all(
     dataset_ids: Sequence[str], remote: str, *, token: str | None = None, force: bool = False
 ) -> Iterator[Pulled]:
-    """Download many datasets and yield each outcome as it comes, failures included.
+    """Download many datasets and yield each outcome when it is ready, failures included.
+
+    Args:
+        dataset_ids: the datasets.
+        remote: ``hf://user`` or ``gcp://bucket``.
+        token: a Hugging Face token, or the path of a service account's key file. Public data needs none.
+        force: replace the datasets of the root that have these ids.
 
     Raises:
-        RemoteError: when the remote's address or token is of no use.
+        RemoteError: if the address is malformed or the token is unreadable.
     """
     store = connect(remote, token=token)
     done: set[str] = set()
     for dataset_id in dict.fromkeys(dataset_ids):
         try:
-            yield from _pull(store, dataset_id, remote, set(dataset_ids) if force else set(), done)
+            yield from _pull_with_sources(
+                store, dataset_id, remote, set(dataset_ids) if force else set(), done
+            )
         except ImujocoError as error:
             yield Pulled(dataset_id, remote, error=str(error), missing=isinstance(error, NotFoundError))
 
 
-def _pull(
+def _pull_with_sources(
     store: Store, dataset_id: str, remote: str, replaceable: AbstractSet[str], done: set[str]
 ) -> Iterator[Pulled]:
-    """Pull a dataset and what it is made of: all of them are checked before the first is visible.
+    """Pull a dataset and its sources. All are checked before the first becomes visible.
 
     Args:
         store: the remote.
         dataset_id: the dataset's id.
         remote: the remote's address.
         replaceable: ids of datasets that may be replaced.
-        done: ids of datasets that were pulled before; those that are pulled now are added.
+        done: ids of datasets that were pulled before. This function adds the ids that it pulls.
     """
     if dataset_id in done:
         return
@@ -110,23 +122,23 @@ def _pull(
         yield Pulled(dataset_id, remote, minari_root.dataset_folder(dataset_id))
         return
     with minari_root.staging(dataset_id) as folder:
-        outcomes = list(_stage(store, dataset_id, remote, replaceable - done, folder, set()))
+        outcomes = list(_download_and_check(store, dataset_id, remote, replaceable - done, folder, set()))
         for outcome in outcomes:
             if outcome.downloaded:
-                _commit(folder, outcome.dataset_id, outcome.dataset_id in replaceable)
+                _commit_staged(folder, outcome.dataset_id, outcome.dataset_id in replaceable)
     outcomes = [outcome for outcome in outcomes if outcome.dataset_id not in done]
     done.update(outcome.dataset_id for outcome in outcomes)
     yield from outcomes
 
 
-def _stage(
+def _download_and_check(
     store: Store, dataset_id: str, remote: str, replaceable: AbstractSet[str], folder: Path, seen: set[str]
 ) -> Iterator[Pulled]:
-    """Download a dataset and what it is made of into ``folder``, and check each; ``seen`` ends cycles."""
+    """Download a dataset and its sources into ``folder`` and check each; ``seen`` breaks cycles."""
     start = time.monotonic()
     seen.add(dataset_id)
     target, staged = minari_root.dataset_folder(dataset_id), folder / dataset_id
-    with explained(remote):
+    with remote_errors(remote):
         stated = metadata(store, dataset_id)
     if stated is None:
         raise DatasetNotFoundError(f"{remote} lists no {dataset_id}; see `minari list remote`")
@@ -134,10 +146,10 @@ def _stage(
         digest = file_format.stated_digest(stated)
         if digest is None or digest != file_format.stated_digest(read_metadata(target / "data")):
             raise DatasetError(
-                f"{dataset_id} is needed from {remote}, but the dataset here has other content: nothing was "
-                f"replaced; to replace it, run `imujoco pull {dataset_id} --force`"
+                f"{dataset_id} is needed from {remote}, but the dataset here has other content. Nothing was "
+                f"replaced. To replace it, run `imujoco pull {dataset_id} --force`"
             )
-        # A linked collection refers to its sources by where they lie beside it.
+        # A linked collection refers to its sources by relative paths.
         staged.parent.mkdir(parents=True, exist_ok=True)
         staged.symlink_to(target.resolve())
         yield Pulled(dataset_id, remote, target)
@@ -145,16 +157,16 @@ def _stage(
     sources = sources_of(stated)
     for source in sources:
         if source not in seen:
-            yield from _stage(store, source, remote, replaceable, folder, seen)
+            yield from _download_and_check(store, source, remote, replaceable, folder, seen)
     minari_root.check_place(target)
-    with explained(remote):
+    with remote_errors(remote):
         store.download_dataset(dataset_id, folder)
     stated = read_metadata(staged / "data")
-    # What collections are made of was replayed, or not, when it was pulled.
-    same = bool(sources) or _same_simulator(stated)
-    findings = _findings(staged / "data", stated, dataset_id, same and not sources)
+    # The sources of a collection were replayed, or not, when they were pulled.
+    same = bool(sources) or _has_same_simulator(stated)
+    findings = _find_damage(staged / "data", stated, dataset_id, same and not sources)
     if findings:
-        raise DatasetError(f"{dataset_id} from {remote}: not kept, its check found: {findings[0]}")
+        raise DatasetError(f"{dataset_id} from {remote}: not kept, because its check found: {findings[0]}")
     if dataset_id in replaceable:
         copying.check_replaced(
             dataset_id, file_format.main_file(target / "data"), [file_format.main_file(staged / "data")]
@@ -163,25 +175,25 @@ def _stage(
     yield Pulled(dataset_id, remote, target, True, digest, same, time.monotonic() - start)
 
 
-def _commit(folder: Path, dataset_id: str, replace: bool) -> None:
-    """Commit a dataset that lies in ``folder``, from a staging folder that keeps what it replaces."""
+def _commit_staged(folder: Path, dataset_id: str, replace: bool) -> None:
+    """Commit the dataset in ``folder`` from its own staging folder, which keeps the replaced one."""
     with minari_root.staging(dataset_id) as apart:
         staged = (folder / dataset_id).rename(apart / "dataset")
         minari_root.commit(staged, dataset_id, replace=replace)
 
 
-def _same_simulator(stated: dict[str, Any]) -> bool:
-    """Return whether the simulator and the processor here are as those that made a dataset."""
-    theirs = stated.get("versions")
+def _has_same_simulator(stated: dict[str, Any]) -> bool:
+    """Return whether this machine has the versions and the processor that made a dataset."""
+    versions = stated.get("versions")
     return (
-        isinstance(theirs, dict)
-        and {name: version(name) for name in ("mujoco", "gymnasium")}.items() <= theirs.items()
+        isinstance(versions, dict)
+        and {name: version(name) for name in ("mujoco", "gymnasium")}.items() <= versions.items()
         and stated.get("machine") == platform.machine()
         and stated.get("simd") == np.show_config(mode="dicts")["SIMD Extensions"]["found"]
     )
 
 
-def _findings(data: Path, stated: dict[str, Any], dataset_id: str, replay: bool) -> list[Finding]:
+def _find_damage(data: Path, stated: dict[str, Any], dataset_id: str, replay: bool) -> list[Finding]:
     fatal = child_process.survives(data)
     if fatal is not None:
         return [fatal]
@@ -189,6 +201,6 @@ def _findings(data: Path, stated: dict[str, Any], dataset_id: str, replay: bool)
         return [Finding("metadata.json/dataset_id", f"is {str(stated.get('dataset_id'))[:80]!r}")]
     if replay:
         return inspect(data, replay_episodes=1)
-    # Another simulator may write the model otherwise and step it otherwise; the digests still stand.
+    # Another version may write and step the model differently. The digests must still match.
     findings = inspect(data, replay_episodes=0)
     return [finding for finding in findings if finding.where != "@mjcf" or "digest" in finding.what]

@@ -1,7 +1,7 @@
-"""What pushing and pulling ask of a remote, and how its errors are told.
+"""The interface of a remote for push and pull, and the translation of its errors.
 
-A store is Minari's own ``CloudStorage`` of the remote with another way of uploading and downloading, so
-that what shows on a remote is whole.
+A store is Minari's own ``CloudStorage`` with a different upload and download, so that a remote shows
+complete datasets only.
 """
 
 from __future__ import annotations
@@ -17,44 +17,44 @@ from imujoco_minari.storage.file_format import MAIN_FILE
 from imujoco_minari.storage.minari_root import NAMESPACE_FILE
 
 METADATA_FILE = "data/metadata.json"
-# The files of a dataset in the order in which they are written: Minari lists what has a metadata.json.
+# The files of a dataset in the order of writing. Minari lists folders that have a metadata.json.
 FILES = (f"data/{MAIN_FILE}", METADATA_FILE)
 CARD = "README.md"
 
 
 class Store(Protocol):
-    """A remote. Paths are relative to it: ``imujoco/hopper-base-v0/data/metadata.json``."""
+    """A remote. Paths are relative to it, as in ``imujoco/hopper-base-v0/data/metadata.json``."""
 
     shows_cards: bool
-    """Whether the remote has a page for a namespace, made of its card."""
+    """Whether the remote shows the card of a namespace as a page."""
 
     def read(self, path: str) -> bytes | None:
-        """Return the content of a small file as it is now, or None when there is none."""
+        """Return the present content of a small file, or None if it does not exist."""
 
     def registered(self, namespace: str, dataset_id: str) -> bool:
-        """Return whether stock Minari would list a dataset whose metadata is there."""
+        """Return whether stock Minari lists a dataset that has metadata on the remote."""
 
     def holds(self, dataset_id: str) -> bool:
-        """Return whether the remote states, for every file of a dataset, the digest of the local file."""
+        """Return whether the remote's digests of a dataset's files equal those of the local files."""
 
     def upload_namespace(self, namespace: str) -> None:
-        """Upload the local metadata of a namespace that the remote does not have."""
+        """Upload the metadata of a namespace of the root that the remote lacks."""
 
     def upload_dataset(self, dataset_id: str, card: str | None = None) -> None:
-        """Upload a local dataset with its card so that it shows when it is whole, and not before."""
+        """Upload a dataset of the root with its card; it becomes visible when it is complete."""
 
     def upload_card(self, namespace: str, card: str) -> None:
         """Replace the card of a namespace."""
 
     def download_dataset(self, dataset_id: str, path: Path) -> None:
-        """Download the files of a dataset, and nothing else, below ``path/<dataset_id>``."""
+        """Download the files of a dataset, and nothing else, into ``path/<dataset_id>``."""
 
     def list_datasets(self, prefix: str | None = None) -> Iterator[str]:
-        """Yield the ids of the datasets that stock Minari would list."""
+        """Yield the ids of the datasets that stock Minari lists."""
 
 
 def metadata(store: Store, dataset_id: str) -> dict[str, Any] | None:
-    """Return the metadata of a dataset that stock Minari would list, or None when it would list none."""
+    """Return the metadata of a dataset, or None if stock Minari does not list it."""
     if not store.registered(dataset_id.partition("/")[0], dataset_id):
         return None
     data = store.read(f"{dataset_id}/{METADATA_FILE}")
@@ -62,28 +62,32 @@ def metadata(store: Store, dataset_id: str) -> dict[str, Any] | None:
 
 
 def parse_object(data: bytes, name: str) -> dict[str, Any]:
-    """Return the JSON object written in a remote file.
+    """Return the JSON object in the content of a remote file.
+
+    Args:
+        data: content of the file.
+        name: name of the file in the message of an error.
 
     Raises:
-        RemoteError: when it holds none.
+        RemoteError: if the content is not a JSON object.
     """
     try:
         value = json.loads(data)
     except (ValueError, RecursionError):
         value = None
     if not isinstance(value, dict):
-        raise RemoteError(f"{name} on the remote is no JSON object")
+        raise RemoteError(f"{name} on the remote is not a JSON object")
     return value
 
 
 def sources_of(stated: Mapping[str, Any]) -> list[str]:
-    """Return the ids of the datasets that a dataset's metadata says it is made of."""
+    """Return the ids of a dataset's sources, as its metadata states them."""
     sources = stated.get("combined_datasets")
     return [source for source in sources if isinstance(source, str)] if isinstance(sources, list) else []
 
 
 def namespaces(dataset_id: str) -> list[str]:
-    """Return the namespaces around a dataset, the outermost first."""
+    """Return the namespaces that contain a dataset, the outermost first."""
     parts = dataset_id.split("/")[:-1]
     return ["/".join(parts[: depth + 1]) for depth in range(len(parts))]
 
@@ -94,42 +98,42 @@ def namespace_file(namespace: str) -> str:
 
 
 @contextmanager
-def explained(address: str) -> Iterator[None]:
-    """Turn what a remote's libraries raise into one line that says what can be done about it."""
+def remote_errors(address: str) -> Iterator[None]:
+    """Turn errors of a remote's libraries into a RemoteError of one line that says what to do."""
     try:
         yield
     except (ImujocoError, AssertionError, AttributeError, LookupError, TypeError):
         raise
-    except Exception as error:  # requests, httpx, google.auth and hf_xet have no error in common
-        raise RemoteError(f"{address}: {_explanation(address, error)}") from error
+    except Exception as error:  # requests, httpx, google.auth and hf_xet share no base error
+        raise RemoteError(f"{address}: {_explain_error(address, error)}") from error
 
 
 _REASONS: Mapping[int, str] = {
     401: "the token is missing or not accepted",
     403: "the token does not allow this",
-    412: "someone else wrote at the same time; push again",
-    429: "the remote asks to slow down; wait and push again, what is there already is skipped",
+    412: "another push wrote at the same time; push again",
+    429: "too many requests; wait and push again, complete files are skipped",
 }
 
 
-def _explanation(address: str, error: Exception) -> str:
-    status = _status(error)
+def _explain_error(address: str, error: Exception) -> str:
+    status = _http_status(error)
     if status == 404:
         return (
-            "there is no such bucket; make it first, as with `gcloud storage buckets create gs://<bucket>`"
+            "no such bucket; create it first, for example with `gcloud storage buckets create gs://<bucket>`"
             if address.startswith("gcp://")
-            else "there is no such user, organisation or repository, or the token may not see it"
+            else "no such user, organisation or repository, or the token does not allow reading it"
         )
     lines = str(error).strip().splitlines()
-    said = f"{type(error).__name__}: {lines[0][:200]}" if lines else type(error).__name__
+    summary = f"{type(error).__name__}: {lines[0][:200]}" if lines else type(error).__name__
     if status is not None and status in _REASONS:
-        return f"{_REASONS[status]} ({said})"
+        return f"{_REASONS[status]} ({summary})"
     if any("connect" in type(each).__name__.lower() for each in (error, error.__cause__)):
-        return f"cannot be reached ({said})"
-    return said
+        return f"cannot be reached ({summary})"
+    return summary
 
 
-def _status(error: Exception) -> int | None:
+def _http_status(error: Exception) -> int | None:
     """Return the HTTP status behind an error of ``google.api_core`` or ``huggingface_hub``."""
     response = getattr(error, "response", None)
     status = getattr(error, "code", None) or getattr(response, "status_code", None)

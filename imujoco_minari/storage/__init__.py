@@ -1,4 +1,4 @@
-"""The Minari root and the HDF5 file: where datasets are, how they appear, how episodes are written and read.
+"""The Minari root and the HDF5 file: paths of datasets, atomic commits, writing and reading of episodes.
 
-This package writes every file of a dataset. It knows nothing of how episodes are made.
+This package writes every file of a dataset. It does not know how episodes are made.
 """

@@ -1,4 +1,4 @@
-"""Steps on a file system that happen whole or not at all: renames, exchanges, locks, waits for the disk."""
+"""Atomic operations of the file system: renames, exchanges and locks, and syncing to the disk."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import os
 from pathlib import Path
 
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
-# Errors of a system or a file system that lacks a call.
+# Errors of a system or a file system that does not support a call.
 UNSUPPORTED = frozenset({errno.ENOSYS, errno.EINVAL, errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOLCK})
 
 
 def rename_new(source: Path, target: Path) -> None:
-    """Rename a folder to a name that is free; raise FileExistsError when it is not."""
+    """Rename a folder to an unused name; raise FileExistsError if the name is used."""
     try:
         source.rename(target)
     except OSError as error:
@@ -25,10 +25,10 @@ def rename_new(source: Path, target: Path) -> None:
 
 
 def exchange(source: Path, target: Path) -> bool:
-    """Swap two folders in one step, so that at every moment ``target`` is the old or the new one.
+    """Swap two folders in one step. At every moment ``target`` is either the old or the new folder.
 
     Returns:
-        Whether it was done: False where the system or the file system cannot, and nothing has changed.
+        Whether the folders were swapped. False means that the system or the file system does not support it.
     """
     libc = ctypes.CDLL(None, use_errno=True)
     if not hasattr(libc, "renameat2"):
@@ -42,7 +42,7 @@ def exchange(source: Path, target: Path) -> bool:
 
 
 def try_lock(descriptor: int) -> bool:
-    """Lock a file, or raise BlockingIOError; return False where the file system has no locks."""
+    """Lock a file or raise BlockingIOError; return False if the file system has no locks."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
@@ -61,7 +61,7 @@ def write_synced_json(path: Path, value: object) -> None:
 
 
 def sync_tree(folder: Path) -> None:
-    """Force a staged dataset to the disk: a rename must not overtake what it names."""
+    """Wait until all files of a folder are on the disk, so that a rename cannot be stored before them."""
     for parent, _, names in os.walk(folder):
         for name in names:
             sync_file(Path(parent) / name)
@@ -69,13 +69,13 @@ def sync_tree(folder: Path) -> None:
 
 
 def sync_file(path: Path) -> None:
-    """Wait until what was written to a file is on the disk."""
+    """Wait until the content of a file is on the disk."""
     with path.open("rb") as file:
         os.fsync(file.fileno())
 
 
 def sync_folder(folder: Path) -> None:
-    """Wait until the names in a folder are on the disk."""
+    """Wait until the entries of a folder are on the disk."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)

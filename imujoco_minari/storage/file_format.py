@@ -1,8 +1,8 @@
-"""What a dataset's HDF5 file holds beyond stock Minari, and the digests of its arrays.
+"""The attributes that a dataset's HDF5 file has in addition to Minari's, and the digests of its arrays.
 
-Every array carries its own SHA-256, every episode the digest of those, and a dataset's
-``content_sha256`` is the digest of the episodes' in their order. So a changed bit is pinned to an array,
-and combining reads one attribute an episode, and no array.
+Every array has its SHA-256, and every episode the digest of its arrays' digests. A dataset's
+``content_sha256`` is the digest of the episodes' digests, in order. So a changed bit is traced to an array,
+and combining reads one attribute per episode and no array.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ MAIN_FILE = "main_data.hdf5"
 ARRAYS = ("observations", "actions", "rewards", "terminations", "truncations")
 DIGEST = "sha256"
 FILE_DIGEST, METADATA_DIGEST = "file_sha256", "metadata_sha256"
-# Metadata of a linked collection, which has no content of its own: of each source, in order, the number of
-# episodes and their digest.
+# Metadata key of a linked collection, which has no arrays of its own: for each source, in order, the number
+# of its episodes and their digest.
 LINKED = "linked"
-# False on imported episodes: they have no seed that would replay them.
+# False on imported episodes that have no seed and so cannot be replayed.
 REPLAYABLE = "replayable"
 
 # The attributes that identify an episode. A collection carries those that all its episodes share.
@@ -33,7 +33,7 @@ IDENTITY = ("variant", "robot", "category", "body", "percent", "tier")
 
 
 def attributes(variant: Variant, tier: str) -> dict[str, Any]:
-    """Return the attributes that the root and every episode group of a dataset carry."""
+    """Return the attributes that the file and every episode group of a dataset have."""
     return {
         "variant": str(variant),
         "robot": variant.robot,
@@ -45,7 +45,7 @@ def attributes(variant: Variant, tier: str) -> dict[str, Any]:
 
 
 def array_sha256(array: Any) -> str:
-    """Return the digest of an array: its dtype, its shape and its bytes in C order."""
+    """Return the digest of an array's dtype, shape and bytes in C order."""
     array = np.ascontiguousarray(array)
     digest = hashlib.sha256(f"{array.dtype.str}{array.shape}".encode())
     digest.update(array.data)
@@ -53,7 +53,7 @@ def array_sha256(array: Any) -> str:
 
 
 def arrays(group: h5py.Group, prefix: str = "") -> Iterator[tuple[str, h5py.Dataset]]:
-    """Yield name and dataset of every array below an episode group, sorted by name."""
+    """Yield the path and the HDF5 dataset of every array in an episode group, sorted by name."""
     for name in sorted(group):
         item = group[name]
         if isinstance(item, h5py.Group):
@@ -63,14 +63,14 @@ def arrays(group: h5py.Group, prefix: str = "") -> Iterator[tuple[str, h5py.Data
 
 
 def episode_sha256(digests: Mapping[str, str]) -> str:
-    """Return the digest of an episode from its arrays' names and digests."""
+    """Return the digest of an episode, given the digest of each array by name."""
     return hashlib.sha256(
         "".join(f"{name} {digests[name]}\n" for name in sorted(digests)).encode("utf-8", "surrogateescape")
     ).hexdigest()
 
 
 def seal_episode(group: h5py.Group) -> None:
-    """Store with every array of an episode group its digest, and with the group the digest of those."""
+    """Store the digest of every array of an episode group, and the digest of these digests."""
     digests = {name: array_sha256(array[()]) for name, array in arrays(group)}
     for name, digest in digests.items():
         group[name].attrs[DIGEST] = digest
@@ -78,15 +78,15 @@ def seal_episode(group: h5py.Group) -> None:
 
 
 def stated_digest(metadata: Mapping[str, Any]) -> Any:
-    """Return the digest that metadata states of a dataset's episodes, its own or linked; None without one."""
+    """Return the digest of a dataset's own or linked episodes as metadata states it, or None."""
     return metadata.get("content_sha256") or metadata.get(LINKED)
 
 
 def content_sha256(file: h5py.File, episodes: int) -> str:
-    """Return the digest of a dataset, which is that of its episodes' stored digests, in order.
+    """Return the digest of a dataset from the stored digests of its episodes, in order.
 
     Raises:
-        KeyError: when an episode is missing or was not sealed.
+        KeyError: if an episode or its digest is missing.
     """
     return dataset_sha256(str(file[f"episode_{episode}"].attrs[DIGEST]) for episode in range(episodes))
 
@@ -97,15 +97,15 @@ def dataset_sha256(digests: Iterable[str]) -> str:
 
 
 def file_sha256(path: Path) -> str:
-    """Return the digest of a file's bytes."""
+    """Return the SHA-256 of a file's bytes."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def metadata_sha256(metadata: Mapping[str, Any]) -> str:
-    """Return the digest of what ``metadata.json`` says, its own digest excepted, however it is laid out."""
-    said = {key: value for key, value in metadata.items() if key != METADATA_DIGEST}
-    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
+    """Return the digest of metadata without its own digest, independent of order and whitespace."""
+    covered = {key: value for key, value in metadata.items() if key != METADATA_DIGEST}
+    return hashlib.sha256(json.dumps(covered, sort_keys=True).encode()).hexdigest()
 
 
 def main_file(data_path: Path | str) -> Path:

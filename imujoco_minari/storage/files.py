@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all: written beside their place and renamed into it."""
+"""Files that are complete or absent: they are written under a temporary name and then renamed."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from imujoco_minari.errors import StorageError
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Yield a partial name beside ``path``, which takes its place at the end unless there was an error.
+    """Yield a temporary path to write to. The file is renamed to ``path`` at the end, unless an error occurs.
 
     Raises:
-        StorageError: when the place cannot be written.
+        StorageError: if the file cannot be written.
     """
-    # The ending stays, as some writers take the format from it.
+    # The suffix stays, because some writers choose the format by it.
     partial = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -35,19 +35,19 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file whole.
+    """Write a text file in one step.
 
     Raises:
-        StorageError: when the place cannot be written.
+        StorageError: if the file cannot be written.
     """
     with whole_file(path) as partial:
         partial.write_text(text, "utf-8")
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write a value as JSON, whole.
+    """Write a value to a JSON file in one step.
 
     Raises:
-        StorageError: when the place cannot be written.
+        StorageError: if the file cannot be written.
     """
     write_text(path, json.dumps(value, indent=1) + "\n")

@@ -1,4 +1,4 @@
-"""The file ``metadata.json`` of a dataset: how it is read and completed, and the record of how it was made.
+"""The file ``metadata.json`` of a dataset: reading it, completing it, and the provenance in it.
 
 Every operation reads the file once and passes the result on.
 """
@@ -19,13 +19,13 @@ from imujoco_minari.storage import file_format
 METADATA_FILE = "metadata.json"
 MAX_METADATA_BYTES = 2**24
 
-# The packages whose versions decide what is in a dataset, bit for bit or nearly so.
+# The packages whose versions decide the content of a dataset, to the last bit or nearly.
 _PACKAGES = ("imujoco-minari", "mujoco", "gymnasium", "minari", "numpy")
 _AUTHORS = frozenset({"imujoco_minari"})
 
 
 def read_metadata(data: Path) -> dict[str, Any]:
-    """Return the content of a dataset's ``metadata.json``; empty if it is no JSON object of sane size.
+    """Return the content of ``metadata.json``; empty if it is not a JSON object of at most 16 MiB.
 
     Args:
         data: the dataset's ``data`` folder.
@@ -43,11 +43,11 @@ def read_metadata(data: Path) -> dict[str, Any]:
 def provenance(
     *, authors: Iterable[str] = _AUTHORS, code: str | None = None, algorithm: str, description: str
 ) -> dict[str, Any]:
-    """Return the metadata that say who made a dataset, how, and with which versions.
+    """Return the metadata about the authors, the code and the versions that made a dataset.
 
     Args:
         authors: names of the authors.
-        code: where the code is that made the episodes; None for this package.
+        code: address of the code that made the episodes; None for this package.
         algorithm: name of the algorithm that trained the policy.
         description: one or two sentences about the dataset.
     """
@@ -66,13 +66,13 @@ def provenance(
 
 
 def complete_metadata(data: Path, metadata: Mapping[str, Any]) -> dict[str, Any]:
-    """Add to a dataset's ``metadata.json``, with the digests of both files, and return the whole.
+    """Add metadata and the digests of both files to ``metadata.json``; return the complete metadata.
 
-    This is the last act before a dataset is committed.
+    This is the last step before a dataset is committed.
 
     Args:
         data: the dataset's ``data`` folder.
-        metadata: what to add; values as JSON holds them.
+        metadata: the entries to add. The values must be JSON values.
     """
     path, main_file = data / METADATA_FILE, file_format.main_file(data)
     whole: dict[str, Any] = json.loads(path.read_text("utf-8")) | dict(metadata)

@@ -1,8 +1,8 @@
-"""The Minari root on disk: staging beside the datasets, atomic commit, and the tidying of leftovers.
+"""The Minari root on disk: staging folders, atomic commits, and removal of leftovers.
 
-A dataset is built in a hidden folder of the root, which Minari does not list, and becomes visible by
-one rename. A staging folder is locked by the process that made it, so that the next process can tell
-what a dead one left from what a living one is at. docs/promises.md says what users may rely on.
+A dataset is built in a hidden folder of the root, which Minari does not list, and becomes visible by one
+rename. The process that makes a staging folder locks it, so other processes can tell the folder of a dead
+process from one in use. docs/promises.md says what users may rely on.
 """
 
 from __future__ import annotations
@@ -38,21 +38,23 @@ STAGING = ".imujoco-staging"
 NAMESPACE_FILE = "namespace_metadata.json"
 
 _LOCK = "lock"
-_REPLACEMENT, _OLD = "replacement.json", "replaced"
+_REPLACEMENT_NOTE, _OLD_NAME = "replacement.json", "replaced"
 # Minari's grammar of ids, without the leading dots, double slashes and ".." that could leave the root.
 _DATASET_ID = re.compile(r"(?:[A-Za-z0-9_][-\w]*/)+[A-Za-z0-9_][-\w]*-v[0-9]{1,6}", re.ASCII)
 _HDF5_REASON = re.compile(r"error message = '([^']{1,200})'")
 
 
 def datasets_root() -> Path:
-    """Return Minari's root, absolute: ``MINARI_DATASETS_PATH``, or ``~/.minari/datasets``; it need not exist.
+    """Return the absolute path of the Minari root: ``MINARI_DATASETS_PATH``, or ``~/.minari/datasets``.
+
+    The folder may not exist yet.
 
     Raises:
-        StorageError: when there is no home directory to put it in.
+        StorageError: if the variable is not set and there is no home directory.
     """
     path = os.environ.get("MINARI_DATASETS_PATH")
     if path:
-        # Minari itself doubles a relative path when it sums up a dataset's size.
+        # Minari doubles a relative path when it computes a dataset's size.
         return Path(path).absolute()
     try:
         return Path.home() / ".minari" / "datasets"
@@ -61,10 +63,10 @@ def datasets_root() -> Path:
 
 
 def dataset_folder(dataset_id: str) -> Path:
-    """Return where the dataset ``dataset_id`` lies or would lie.
+    """Return the folder of a dataset. It may not exist.
 
     Raises:
-        DatasetIdError: when ``dataset_id`` is no namespaced Minari id.
+        DatasetIdError: if ``dataset_id`` is not a Minari id with a namespace.
     """
     if not isinstance(dataset_id, str) or len(dataset_id) > 200 or not _DATASET_ID.fullmatch(dataset_id):
         raise DatasetIdError(
@@ -72,13 +74,13 @@ def dataset_folder(dataset_id: str) -> Path:
             "valid: <namespace>/<name>-v<version>, as in imujoco/hopper-all-v0"
         )
     if "data" in dataset_id.split("/"):
-        # Minari takes every folder that holds a "data" for a dataset and looks no deeper.
+        # Minari reads every folder that contains a "data" as a dataset and does not look inside it.
         raise DatasetIdError(f"malformed dataset id {dataset_id!r}: a namespace cannot be named 'data'")
     return datasets_root() / dataset_id
 
 
 def exists(dataset_id: str) -> bool:
-    """Return whether the root holds a dataset, or anything else, under this id."""
+    """Return whether the root has a dataset, or any other file, with this id."""
     folder = dataset_folder(dataset_id)
     try:
         folder.lstat()
@@ -88,14 +90,14 @@ def exists(dataset_id: str) -> bool:
 
 
 def taken(dataset_id: str) -> bool:
-    """Tidy the root, and return whether a dataset, or anything else, has this id."""
+    """Remove leftovers, then return whether the root has a dataset, or any other file, with this id."""
     tidy()
     return exists(dataset_id)
 
 
 @contextmanager
-def failures_named(place: Path | None = None) -> Iterator[None]:
-    """Raise what goes wrong with files as a StorageError that names the file, or else ``place``."""
+def storage_errors(place: Path | None = None) -> Iterator[None]:
+    """Turn errors of files into a StorageError that names the file, or else ``place``."""
     try:
         yield
     except (OSError, RuntimeError) as error:
@@ -104,7 +106,7 @@ def failures_named(place: Path | None = None) -> Iterator[None]:
         if isinstance(error, OSError):
             file, reason = error.filename, error.strerror or str(error)
         else:
-            # HDF5 that fails to write as it closes a file, told by h5py without the error's number.
+            # HDF5 failed to write while closing a file. h5py reports it without an error number.
             file, match = None, _HDF5_REASON.search(str(error))
             if match is None:
                 raise
@@ -116,19 +118,20 @@ def failures_named(place: Path | None = None) -> Iterator[None]:
 
 @contextmanager
 def staging(*dataset_ids: str) -> Iterator[Path]:
-    """Make a locked staging folder in the root, and remove it at the end, whatever happens.
+    """Make a locked staging folder in the root and remove it at the end, also after an error.
 
-    What goes wrong with files meanwhile is raised as a StorageError.
+    Errors of files inside the block are raised as a StorageError.
 
     Args:
-        *dataset_ids: what will be committed from it; what stands in the way is told now, not after the work.
+        *dataset_ids: ids that will be committed from it. An id that cannot be committed fails now, before
+            the work.
 
     Raises:
-        DatasetError: when an id lies within a dataset.
-        StorageError: when the root cannot be written, then or later.
+        DatasetError: if an id is inside another dataset.
+        StorageError: if the root cannot be written, now or inside the block.
     """
     root = datasets_root() / STAGING
-    with failures_named(root.parent):
+    with storage_errors(root.parent):
         _make_staging_root(root)
         for dataset_id in dataset_ids:
             check_place(dataset_folder(dataset_id))
@@ -141,23 +144,23 @@ def staging(*dataset_ids: str) -> Iterator[Path]:
 
 
 def _make_staging_root(root: Path) -> None:
-    """Make the folder of all staging folders, in which every user of a shared root may make one."""
+    """Make the folder that contains all staging folders. Every user of a shared root may write to it."""
     root.mkdir(parents=True, exist_ok=True)
     with suppress(OSError):
-        # As /tmp: each removes only what is its own. Another user's folder keeps the mode that it has.
+        # The mode of /tmp: users can remove only their own folders. A folder of another user keeps its mode.
         root.chmod(0o1777)
 
 
 @contextmanager
 def scratch(parent: Path, prefix: str = "") -> Iterator[Path]:
-    """Make a locked folder in ``parent`` and remove it at the end; before, remove what dead processes left.
+    """Make a locked folder in ``parent`` and remove it at the end. First remove those of dead processes.
 
     Args:
-        parent: on the file system on which its content is to be renamed.
-        prefix: begins the folder's name, and those of the leftovers.
+        parent: a folder on the file system of the later rename.
+        prefix: prefix of the folder's name. Only leftovers with this prefix are removed.
     """
-    _tidy(parent, prefix)
-    folder, lock = _locked_folder(parent, prefix)
+    _remove_leftovers(parent, prefix)
+    folder, lock = _make_locked_folder(parent, prefix)
     try:
         yield folder
     finally:
@@ -165,15 +168,21 @@ def scratch(parent: Path, prefix: str = "") -> Iterator[Path]:
 
 
 def check_place(target: Path) -> None:
-    """Raise unless ``target`` can come into being by a rename out of the staging folder."""
+    """Check that a folder of the staging folder can be renamed to ``target``.
+
+    Raises:
+        DatasetError: if ``target`` is inside another dataset.
+        StorageError: if ``target`` is on another file system than the root.
+        OSError: if a parent of ``target`` is not a writable folder.
+    """
     root = datasets_root()
     for parent in target.parents:
         if parent == root:
             break
         if (parent / "data").exists():
             raise DatasetError(
-                f"{target.relative_to(root)} would lie within the dataset {parent.relative_to(root)}, "
-                "where Minari does not look"
+                f"{target.relative_to(root)} would be within the dataset {parent.relative_to(root)}, "
+                "where Minari does not find it; choose another id"
             )
         if parent.exists():
             if not parent.is_dir():
@@ -182,18 +191,18 @@ def check_place(target: Path) -> None:
                 raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(parent))
             if parent.stat().st_dev != root.stat().st_dev:
                 raise StorageError(
-                    f"{parent} is on another file system than the Minari root {root}, so that nothing can be "
+                    f"{parent} is on another file system than the Minari root {root}, so a dataset cannot be "
                     "moved there in one step: set MINARI_DATASETS_PATH to a folder of that file system"
                 )
 
 
-def _locked_folder(root: Path, prefix: str) -> tuple[Path, int]:
-    """Make a folder in ``root`` and lock it; return it and the lock's descriptor."""
+def _make_locked_folder(root: Path, prefix: str) -> tuple[Path, int]:
+    """Make a folder in ``root`` and lock it. Return the folder and the descriptor of its lock."""
     while True:
         if root.name == STAGING:
             _make_staging_root(root)
         root.mkdir(parents=True, exist_ok=True)
-        # Between any two of these calls another process may tidy away what looks abandoned.
+        # Between two of these calls another process may remove a folder that is not locked yet.
         with suppress(FileNotFoundError, BlockingIOError):
             folder = Path(tempfile.mkdtemp(dir=root, prefix=prefix))
             lock = os.open(folder / _LOCK, os.O_CREAT | os.O_RDWR)
@@ -208,25 +217,24 @@ def _locked_folder(root: Path, prefix: str) -> tuple[Path, int]:
 
 
 def tidy() -> None:
-    """Remove the staging folders of processes that are dead; leave those of the living alone.
+    """Remove the staging folders of dead processes and finish their interrupted replacements.
 
-    A replacement that was cut between its two steps is finished. Where the file system has no locks,
-    nothing tells the dead from the living, and nothing is removed.
+    Without locks on the file system, dead and living processes look the same, and nothing is removed.
     """
-    _tidy(datasets_root() / STAGING)
+    _remove_leftovers(datasets_root() / STAGING)
     with suppress(OSError):
         (datasets_root() / STAGING).rmdir()
 
 
-def _tidy(parent: Path, prefix: str = "") -> None:
+def _remove_leftovers(parent: Path, prefix: str = "") -> None:
     try:
         folders = list(parent.glob(f"{prefix}*"))
     except FileNotFoundError:
-        # Another process, the last one in it, has removed it between two looks at it.
+        # Another process has removed the folder meanwhile.
         return
     for folder in folders:
         try:
-            # Made when it is not there: a process that died while it removed its folder took its lock first.
+            # Create a missing lock: a process that died while removing its folder has removed the lock first.
             lock = os.open(folder / _LOCK, os.O_CREAT | os.O_RDWR)
         except OSError:
             continue
@@ -241,31 +249,31 @@ def _tidy(parent: Path, prefix: str = "") -> None:
 
 
 def _discard(folder: Path, lock: int) -> None:
-    """Remove a staging folder whose lock is ours, unless it holds the only copy of a dataset."""
-    settled = _finish_replacement(folder)
-    if settled:
+    """Remove a staging folder that this process has locked, unless it has the only copy of a dataset."""
+    removable = _finish_replacement(folder)
+    if removable:
         shutil.rmtree(folder, ignore_errors=True)
     os.close(lock)
-    if not settled:
+    if not removable:
         return
-    # NFS keeps an open file that is removed under another name until it is closed.
+    # NFS renames a removed file that is open, and removes it when it is closed.
     shutil.rmtree(folder, ignore_errors=True)
 
 
 def commit(staged: Path, dataset_id: str, *, replace: bool = False) -> Path:
-    """Make the staged dataset visible under its id in one step, and return its folder.
+    """Make a staged dataset visible under its id in one step and return its folder.
 
     Args:
-        staged: the dataset's folder (that holds ``data``), directly within :func:`staging`'s.
-        dataset_id: the id it gets.
-        replace: put it in the place of the dataset that has the id now, which goes when it is in.
+        staged: the dataset's folder, which contains ``data``, directly inside :func:`staging`'s folder.
+        dataset_id: the id of the dataset.
+        replace: replace the dataset that has the id now. It is removed after the new one is visible.
 
     Raises:
-        DatasetExistsError: when the id is taken and ``replace`` is false; nothing has changed then.
-        StorageError: when the root cannot be written.
+        DatasetExistsError: if the id is used and ``replace`` is false; nothing has changed then.
+        StorageError: if the root cannot be written.
     """
     target = dataset_folder(dataset_id)
-    with failures_named(target):
+    with storage_errors(target):
         check_place(target)
         sync_tree(staged)
         make_namespace(dataset_id.rpartition("/")[0])
@@ -274,12 +282,12 @@ def commit(staged: Path, dataset_id: str, *, replace: bool = False) -> Path:
         except FileExistsError:
             if not replace:
                 raise DatasetExistsError(
-                    f"{dataset_id} is already there, at {target}; it was left alone "
+                    f"{dataset_id} already exists, at {target}; it was not changed "
                     "(--force replaces it, `imujoco delete` removes it)"
                 ) from None
             if not (target / "data").is_dir():
                 raise DatasetExistsError(
-                    f"what lies at {target} is no dataset, so it is not replaced; move it away first"
+                    f"{target} is not a dataset, so it was not replaced; move it away first"
                 ) from None
             if not exchange(staged, target):
                 _replace_in_two_steps(staged, target, dataset_id)
@@ -294,15 +302,15 @@ def remove(dataset_id: str) -> None:
         StorageError: when the root cannot be written.
     """
     folder = dataset_folder(dataset_id)
-    with staging() as staged, failures_named(folder):
+    with staging() as staged, storage_errors(folder):
         folder.rename(staged / "removed")
         sync_folder(folder.parent)
 
 
 def make_namespace(namespace: str, description: str = "") -> None:
-    """Make a Minari namespace and its parents; one that exists is left as it is.
+    """Make a Minari namespace and its parents. Existing namespaces are not changed.
 
-    Minari's own ``create_namespace`` writes the file in place, where another process may read half of it.
+    Minari's own ``create_namespace`` writes the file in place, so another process may read half of it.
     """
     root = datasets_root()
     parts = namespace.split("/")
@@ -315,7 +323,7 @@ def make_namespace(namespace: str, description: str = "") -> None:
             file = temporary / NAMESPACE_FILE
             write_synced_json(file, {"description": description} if description else {})
             try:
-                # A link fails where a rename would overwrite what another process has just written.
+                # A link fails if another process has just written the file. A rename would overwrite it.
                 (folder / NAMESPACE_FILE).hardlink_to(file)
             except FileExistsError:
                 pass
@@ -326,29 +334,30 @@ def make_namespace(namespace: str, description: str = "") -> None:
 
 
 def _replace_in_two_steps(staged: Path, target: Path, dataset_id: str) -> None:
-    """Move the old dataset away and the new one in, so that a kill in between loses neither.
+    """Move the old dataset away, then the new one in. A kill in between loses neither of them.
 
-    A note in the staging folder says what is going on; who finds it in a dead one finishes the work.
+    A note in the staging folder describes the replacement. The next process that removes leftovers finds
+    the note and finishes the replacement.
     """
     folder = staged.parent
-    write_synced_json(folder / _REPLACEMENT, {"dataset_id": dataset_id, "staged": staged.name})
+    write_synced_json(folder / _REPLACEMENT_NOTE, {"dataset_id": dataset_id, "staged": staged.name})
     sync_folder(folder)
-    target.rename(folder / _OLD)
+    target.rename(folder / _OLD_NAME)
     staged.rename(target)
 
 
 def _finish_replacement(folder: Path) -> bool:
-    """Finish a replacement that was cut between its steps: the new dataset in place, or else the old.
+    """Finish an interrupted replacement: move the new dataset to its place, or else the old one back.
 
     Returns:
-        Whether the folder may go; false when it holds the old dataset and nothing is in its place.
+        Whether the folder can be removed. False if it has the old dataset and its place is empty.
     """
-    if not (folder / _OLD).exists():
+    if not (folder / _OLD_NAME).exists():
         return True
     try:
-        note = json.loads((folder / _REPLACEMENT).read_text("utf-8"))
+        note = json.loads((folder / _REPLACEMENT_NOTE).read_text("utf-8"))
         target = dataset_folder(note["dataset_id"])
-        for candidate in (folder / Path(note["staged"]).name, folder / _OLD):
+        for candidate in (folder / Path(note["staged"]).name, folder / _OLD_NAME):
             with suppress(OSError):
                 rename_new(candidate, target)
                 sync_folder(target.parent)

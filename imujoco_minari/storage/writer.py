@@ -1,8 +1,8 @@
-"""Whole episodes into a Minari HDF5 file: arrays, attributes and digests in one pass.
+"""Writes complete episodes to a Minari HDF5 file: arrays, attributes and digests in one pass.
 
-The stock storage opens the file, converts lists and rewrites ``metadata.json`` at every episode, 9 ms of
-an episode whose physics take 25, and its chunked arrays are scattered over the file. Here the file stays
-open, an array lies in one piece, and the metadata is written when it is asked for.
+The stock storage opens the file, converts lists and rewrites ``metadata.json`` at every episode. That takes
+9 ms for an episode whose physics take 25 ms, and its chunked arrays are scattered over the file. This storage
+keeps the file open, writes contiguous arrays, and writes the metadata when it is requested.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ _TEXT_TYPE = h5t.py_create(_TEXT, logical=True)
 
 
 class EpisodeStorage(HDF5Storage):  # type: ignore[misc]
-    """Minari's HDF5 storage, quick to take whole episodes of flat arrays, which it seals with digests.
+    """Minari's HDF5 storage, with a fast path for episodes of plain arrays, which get digests.
 
     Attributes:
-        attributes: what every episode carries beside Minari's own attributes.
+        attributes: attributes of every episode, in addition to Minari's own.
     """
 
     attributes: Mapping[str, Any] = {}
@@ -48,7 +48,7 @@ class EpisodeStorage(HDF5Storage):  # type: ignore[misc]
         self._open = ExitStack()
 
     def update_episodes(self, episodes: Iterable[EpisodeBuffer]) -> None:
-        """Append episodes; each is new, has observations and actions of plain arrays, and no infos."""
+        """Append new episodes whose observations and actions are plain arrays, without infos."""
         if self._file is None:
             metadata = super().metadata
             self._episodes, self._steps = metadata["total_episodes"], metadata["total_steps"]
@@ -67,13 +67,13 @@ class EpisodeStorage(HDF5Storage):  # type: ignore[misc]
 
     @property
     def metadata(self) -> dict[str, Any]:
-        """Metadata of the storage, all episodes on the disk."""
+        """The metadata of the storage. Reading it first writes pending episodes to the disk."""
         self.flush()
         metadata: dict[str, Any] = super().metadata
         return metadata
 
     def flush(self) -> None:
-        """Write what is pending to the disk and close the file."""
+        """Write pending episodes to the disk and close the file."""
         if self._file is not None:
             self._file = None
             self._open.close()
@@ -90,9 +90,9 @@ def new_storage(folder: Path, env: gym.Env[Any, Any], attributes: Mapping[str, A
     """Make an empty storage for the episodes of an environment.
 
     Args:
-        folder: the storage's new folder; its parent exists.
-        env: the environment; its spaces and its spec go into the metadata.
-        attributes: what every episode carries beside Minari's own attributes.
+        folder: the new folder of the storage. Its parent must exist.
+        env: the environment. Its spaces and its spec are written to the metadata.
+        attributes: attributes of every episode, in addition to Minari's own.
     """
     stock = MinariStorage.new(folder, env.observation_space, env.action_space, env.spec)
     storage = EpisodeStorage(folder, stock.observation_space, stock.action_space)
@@ -103,9 +103,10 @@ def new_storage(folder: Path, env: gym.Env[Any, Any], attributes: Mapping[str, A
 def write_episode(
     file: h5py.File, name: str, arrays: Mapping[str, NDArray[Any]], attributes: Mapping[str, Any]
 ) -> None:
-    """Write an episode group with its arrays, its attributes and their digests.
+    """Write an episode group with its arrays, its attributes and its digests.
 
-    Through h5py's low level: its high level takes four times as long for as small a thing as an attribute.
+    This uses h5py's low-level interface, because the high-level one takes four times as long to write
+    something as small as an attribute.
     """
     group = h5g.create(file.id, name.encode())
     digests = {}
@@ -123,7 +124,7 @@ def write_episode(
 
 
 def write_attribute(owner: Any, name: str, value: Any) -> None:
-    """Write a new attribute of a low-level group or dataset: a scalar, an array or a string."""
+    """Write a new attribute, a scalar, an array or a string, to a low-level group or dataset."""
     if isinstance(value, str):
         attribute = h5a.create(owner, name.encode(), _TEXT_TYPE, _SCALAR)
         attribute.write(np.array(value, dtype=_TEXT))

@@ -1,7 +1,7 @@
-"""A whole SBX agent (actor, critics, targets, entropy coefficient, optimisers) as plain arrays.
+"""A complete SBX agent (actor, critics, targets, entropy coefficient, optimisers) as plain arrays.
 
-What is stored is safetensors, never a pickle: names are paths in the agent's state, so any part can
-be read without SBX. The actor comes out under Stable-Baselines3's names.
+Agents are stored as safetensors, never as pickles. The names are paths in the agent's state, so any part can
+be read without SBX. The actor is returned under Stable-Baselines3's names.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ def make_agent(env: Any, settings: Hyperparameters, seed: int, device: str | Non
     """Return a new ``sbx.CrossQ`` on ``env`` (a Gymnasium environment or a vectorised one).
 
     Args:
-        env: what to train in.
+        env: the environment to train in.
         settings: the hyperparameters.
-        seed: of all that is random.
-        device: where the updates are computed: ``cpu``, ``gpu``, or None for the best that JAX has.
+        seed: seed of the weights and of all sampling.
+        device: device of the updates: ``cpu``, ``gpu``, or None for JAX's default.
 
     Raises:
-        DependencyError: when SBX is not installed.
-        TrainingError: when there is no such device.
+        DependencyError: if SBX is not installed.
+        TrainingError: if JAX has no such device.
     """
-    # XLA's threads are no faster on updates this small and would take the other jobs' cores.
+    # Updates are too small for XLA's threads to help, and other jobs need the cores.
     os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
     try:
         import jax
@@ -49,10 +49,10 @@ def make_agent(env: Any, settings: Hyperparameters, seed: int, device: str | Non
     except ImportError:
         raise missing_dependency("sbx-rl", "train", "training") from None
     if jax.config.jax_compilation_cache_dir is None:
-        # A sweep compiles the same few programs for every variant of a robot.
+        # All variants of a robot use the same few compiled programs.
         jax.config.update("jax_compilation_cache_dir", str(policies_folder().parent / "compiled"))
     if device is not None:
-        _use(device)
+        _set_default_device(device)
     return CrossQ(
         "MlpPolicy",
         env,
@@ -64,7 +64,7 @@ def make_agent(env: Any, settings: Hyperparameters, seed: int, device: str | Non
         gradient_steps=settings.updates_per_call,
         policy_delay=settings.policy_delay,
         policy_kwargs={
-            # Without normalisation in the actor it is SAC's, and needs nothing but its weights.
+            # Without normalisation the actor is SAC's and consists of its weights alone.
             "batch_norm_actor": False,
             "net_arch": {"pi": [256, 256], "qf": [settings.critic_width] * 2},
         },
@@ -73,22 +73,22 @@ def make_agent(env: Any, settings: Hyperparameters, seed: int, device: str | Non
     )
 
 
-def _use(device: str) -> None:
-    """Compute on the first device of a kind from now on, in this process."""
+def _set_default_device(device: str) -> None:
+    """Make the first device of a kind the default of this process."""
     import jax
 
     try:
         jax.config.update("jax_default_device", jax.devices(device)[0])
     except RuntimeError:
-        there = sorted({found.platform for found in jax.devices()} | {"cpu"})
+        available = sorted({found.platform for found in jax.devices()} | {"cpu"})
         raise TrainingError(
-            f"JAX has no device {device!r} here; valid: {', '.join(there)} "
+            f"JAX has no device {device!r} here; valid: {', '.join(available)} "
             '(for an NVIDIA GPU, `pip install "jax[cuda12]"`)'
         ) from None
 
 
 def forget_compiled() -> None:
-    """Give back what was compiled for agents that are gone, 75 MB each: a sweep has hundreds of them."""
+    """Free the compiled programs of closed agents, 75 MB each. A sweep makes hundreds of agents."""
     import jax
 
     gc.collect()
@@ -96,27 +96,27 @@ def forget_compiled() -> None:
 
 
 def agent_arrays(agent: Any) -> dict[str, Array]:
-    """Return everything that the agent has learnt, by path, as arrays."""
+    """Return the complete state of an agent as arrays, keyed by their paths in it."""
     from flax.serialization import to_state_dict
     from flax.traverse_util import flatten_dict
 
-    flat = flatten_dict({name: to_state_dict(state) for name, state in _states(agent).items()}, sep="/")
+    flat = flatten_dict({name: to_state_dict(state) for name, state in _train_states(agent).items()}, sep="/")
     arrays = {path: np.array(value) for path, value in flat.items()}
     return arrays | {"key": np.array(agent.key), "policy_key": np.array(agent.policy.key)}
 
 
 def restore_agent(agent: Any, arrays: dict[str, Array]) -> None:
-    """Give ``agent`` all that :func:`agent_arrays` returned of another.
+    """Restore the state that :func:`agent_arrays` returned into ``agent``.
 
     Raises:
-        PolicyError: when the arrays are of an agent of another shape.
+        PolicyError: if the arrays have other names or shapes than the agent's.
     """
     from flax.serialization import from_state_dict, to_state_dict
     from flax.traverse_util import flatten_dict, unflatten_dict
 
     restored = {}
-    for name, state in _states(agent).items():
-        # Parts without any value are no arrays, but belong to the state.
+    for name, state in _train_states(agent).items():
+        # Empty parts have no arrays but belong to the state.
         own = flatten_dict(to_state_dict(state), sep="/", keep_empty_nodes=True)
         for path in flatten_dict(to_state_dict(state), sep="/"):
             value = arrays.get(f"{name}/{path}")
@@ -133,8 +133,8 @@ def restore_agent(agent: Any, arrays: dict[str, Array]) -> None:
 
 
 def save_arrays(path: Path, arrays: dict[str, Array]) -> None:
-    """Write arrays as safetensors, so that at every moment ``path`` holds the old ones or the new."""
-    # ascontiguousarray makes a vector of a scalar, and save_file a file that others cannot read.
+    """Write arrays as safetensors. At every moment ``path`` holds either the old arrays or the new."""
+    # ascontiguousarray turns a scalar into a vector. save_file would set permissions that others cannot read.
     contiguous = {name: np.ascontiguousarray(array).reshape(array.shape) for name, array in arrays.items()}
     with whole_file(path) as partial:
         partial.write_bytes(save(contiguous))
@@ -144,7 +144,7 @@ def load_arrays(path: Path) -> dict[str, Array]:
     """Read arrays from safetensors.
 
     Raises:
-        PolicyError: when the file is not whole.
+        PolicyError: if the file cannot be read.
     """
     try:
         return dict(load_file(path))
@@ -153,12 +153,12 @@ def load_arrays(path: Path) -> dict[str, Array]:
 
 
 def actor_arrays(agent: Any) -> dict[str, Array]:
-    """Return the agent's actor under Stable-Baselines3's names, rounded to float16 as it will be shipped."""
+    """Return an agent's actor under Stable-Baselines3's names, as float16, the precision that is stored."""
     return agent_actor(agent_arrays(agent))
 
 
 def agent_actor(arrays: dict[str, Array]) -> dict[str, Array]:
-    """Return the actor among the arrays of :func:`agent_arrays`, as :func:`actor_arrays` does."""
+    """Return the actor from the arrays of :func:`agent_arrays`, in the form of :func:`actor_arrays`."""
     actor: dict[str, Array] = {}
     for ours, theirs in _LAYERS.items():
         actor[f"{theirs}.weight"] = arrays[f"actor/params/{ours}/kernel"].astype(np.float16).T
@@ -167,10 +167,10 @@ def agent_actor(arrays: dict[str, Array]) -> dict[str, Array]:
 
 
 def actor_of(arrays: dict[str, Array], algorithm: str) -> Actor:
-    """Return the policy that the arrays of :func:`actor_arrays` are, acting deterministically."""
+    """Return the deterministic policy with the weights of :func:`actor_arrays`."""
     return Actor({name: array.astype(np.float32) for name, array in arrays.items()}, algorithm)
 
 
-def _states(agent: Any) -> dict[str, Any]:
+def _train_states(agent: Any) -> dict[str, Any]:
     states = (agent.policy.actor_state, agent.policy.qf_state, agent.ent_coef_state)
     return dict(zip(_STATES, states, strict=True))

@@ -1,4 +1,4 @@
-"""Hyperparameters as data: ``hyperparameters.toml`` gives a reason for each; a robot's page may differ."""
+"""Hyperparameters by robot and start: ``hyperparameters.toml`` states the reasons, a robot's page may differ."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ SCRATCH, FAR, WARM, NEAR, GENERALIST, IMPROVE = "scratch", "far", "warm", "near"
 
 @dataclass(frozen=True)
 class Hyperparameters:
-    """What decides a training run, beside variant, start and seed.
+    """The settings of a training run, beside variant, start and seed.
 
     Attributes:
-        algorithm: the name that records and datasets state.
+        algorithm: name of the algorithm in records and datasets.
         critic_width: units in each of a critic's two hidden layers.
         steps_per_call: environment steps between two calls of the update loop.
         updates_per_call: gradient steps in each call.
-        policy_delay: updates of the critics for each of the actor.
-        batch_size: transitions an update.
-        learning_rate: of actor, critics and entropy coefficient.
-        settling_rate: the learning rate of the last steps.
-        settling_steps: how many those are.
-        stones: milder variants that the run first trains in, one after the other (stepping stones).
-        approach_share: share of the run's steps that those take together.
+        policy_delay: critic updates per actor update.
+        batch_size: transitions per update.
+        learning_rate: learning rate of actor, critics and entropy coefficient.
+        settling_rate: learning rate of the last steps.
+        settling_steps: number of steps at the settling rate.
+        stones: number of milder variants that the run trains in first (stepping stones).
+        approach_share: share of the run's steps that the milder variants take together.
         gamma: discount factor.
-        exploration_steps: steps before the first update, random or of the loaded policy.
-        evaluate_every: steps between two evaluations, which are also the checkpoints.
-        max_steps: where a run ends that has not reached its target.
+        exploration_steps: steps before the first update, by random actions or by the loaded policy.
+        evaluate_every: steps between two evaluations. Each evaluation is a checkpoint too.
+        max_steps: number of steps after which a run ends without reaching its target.
         ranking_episodes: episodes of each evaluation.
-        choosing_episodes: episodes of a second look at evaluations that rank high.
-        deciding_episodes: episodes of a third look at those that seem better than the best.
-        confirming_episodes: episodes of the final evaluation, on seeds of its own.
+        choosing_episodes: episodes of the second evaluation of an actor that ranks high.
+        deciding_episodes: episodes of the third evaluation, of an actor that seems better than the best.
+        confirming_episodes: episodes of the final evaluation, with seeds of its own.
     """
 
     algorithm: str
@@ -61,7 +61,7 @@ class Hyperparameters:
     confirming_episodes: int
 
     def rate(self, steps: int) -> float:
-        """Return the learning rate after so many environment steps."""
+        """Return the learning rate after ``steps`` environment steps."""
         settling = steps >= self.max_steps - self.settling_steps
         return self.settling_rate if settling else self.learning_rate
 
@@ -71,19 +71,23 @@ class Hyperparameters:
 
 
 def hyperparameters(robot: str, start: str, **changes: Any) -> Hyperparameters:
-    """Return the hyperparameters for ``robot`` and ``start``, with ``changes``.
+    """Return the hyperparameters of a robot and a kind of start.
 
     Args:
-        robot: its name.
-        start: ``scratch``, ``warm`` (from another's agent), ``near`` and ``far`` (from another's that does
-            nearly as well as is asked, or not half as well), ``generalist`` (another's, over all variants)
-            or ``improve`` (its own).
-        **changes: what differs from the file.
+        robot: name of the robot.
+        start: ``scratch``; ``warm``, from another variant's agent; ``near`` or ``far``, from an agent that
+            nearly reaches the target, or not half of it; ``generalist``, training over all variants;
+            or ``improve``, from the policy's own agent.
+        **changes: values that replace those of the file.
 
     Raises:
-        CatalogueError: when a key is unknown.
+        CatalogueError: if a key is unknown.
+
+    Example:
+        >>> hyperparameters("hopper", "warm").max_steps
+        60000
     """
-    table, own = _table(), specification(robot).training
+    table, own = _read_table(), specification(robot).training
     layers = (table["all"], table[start], own.get(start, {}), changes)
     values = {key: value for layer in layers for key, value in layer.items()}
     known = {field.name for field in fields(Hyperparameters)}
@@ -94,6 +98,6 @@ def hyperparameters(robot: str, start: str, **changes: Any) -> Hyperparameters:
 
 
 @cache
-def _table() -> dict[str, Any]:
+def _read_table() -> dict[str, Any]:
     text = (resources.files("imujoco_minari.training") / "hyperparameters.toml").read_text("utf-8")
     return tomllib.loads(text)

@@ -1,8 +1,8 @@
-"""One training run: a variant's expert, checkpointed so that a kill costs at most one interval.
+"""One training run of a variant's expert, with checkpoints: a killed run loses at most one interval.
 
-A run is a sequence of intervals of ``evaluate_every`` steps. Each begins with a reset, and its random
-numbers depend on the seed and its number alone; so a run that was killed and resumed ends in the same
-weights, to the bit, as one that was not (on the same processor and versions).
+A run is a sequence of intervals of ``evaluate_every`` steps. Each interval begins with a reset. Its random
+numbers depend only on the seed and its number, so a run that is killed and resumed has the same weights at
+the end, bit for bit, as an uninterrupted one (on the same processor and versions).
 """
 
 from __future__ import annotations
@@ -35,26 +35,25 @@ from imujoco_minari.training.agents import (
 from imujoco_minari.training.hyperparameters import SCRATCH, Hyperparameters
 from imujoco_minari.variants import BASE, Variant
 
-# Base seeds of the three kinds of evaluation episodes; none of them is a dataset's default, 0.
+# Base seeds of the three kinds of evaluations. They differ from the default seed of datasets, 0.
 RANKING_SEED, CHOOSING_SEED, CONFIRMING_SEED = 1_000_001, 1_000_002, 1_000_003
-# A mean must beat the best by this share before a second look is taken at it.
-_SECOND_LOOK = 0.98
+# A second evaluation follows when the mean reaches this share of the best score.
+_SECOND_EVALUATION_SHARE = 0.98
 
 
 @dataclass(frozen=True)
 class Task:
-    """What to train.
+    """The description of a training run.
 
     Attributes:
-        variant: whose environment.
+        variant: the variant to train in.
         settings: the hyperparameters.
-        among: train and judge in the environments of all of these, one drawn for each episode, and not
-            in ``variant``'s.
-        seed: of all that is random.
-        start: name of the agent that the run starts from, ``scratch`` or a base robot.
-        agent: its arrays; empty from scratch.
-        start_sha256: digest of that agent's actor, as its own record has it.
-        target: return (mean less standard deviation, over the deciding episodes) at which to stop.
+        seed: seed of all that is random.
+        start: name of the agent that the run starts from, or ``scratch``.
+        agent: the arrays of that agent; empty from scratch.
+        start_sha256: digest of that agent's actor, from its record.
+        target: the run stops at this return (mean less standard deviation, over the deciding episodes).
+        among: if given, train and evaluate in these variants instead, one drawn for each episode.
     """
 
     variant: Variant
@@ -68,19 +67,19 @@ class Task:
 
     @property
     def path(self) -> tuple[Variant, ...]:
-        """The variants to train in, one after the other; empty when there is but one."""
+        """The milder variants and the variant itself, in order of training; empty without milder ones."""
         stones = self.variant.milder(self.settings.stones)
         return (*stones, self.variant) if stones else ()
 
     def place(self, steps: int) -> Variant | None:
-        """Return the variant of the path to train in after so many steps; None when there is no path."""
+        """Return the variant of the path to train in after ``steps`` steps, or None if the path is empty."""
         if not self.path:
             return None
         stones, approach = len(self.path) - 1, round(self.settings.approach_share * self.settings.max_steps)
         return self.path[min(stones, stones * steps // max(1, approach))]
 
     def environment(self, among: tuple[Variant, ...] = ()) -> gym.Env[Any, Any]:
-        """Make the environment of the variant, or of several."""
+        """Return a new environment of the variant, or of all variants in ``among``."""
         if among:
             return gym.make(collection_spec(f"{self.variant.robot}-all", among), disable_env_checker=True)
         return make(self.variant, disable_env_checker=True)
@@ -88,17 +87,17 @@ class Task:
 
 @dataclass
 class Progress:
-    """Where a run stands; stored with every checkpoint.
+    """The progress of a run, stored with every checkpoint.
 
     Attributes:
         intervals: intervals done.
         steps: environment steps done.
         updates: gradient steps done.
-        wall_seconds: time spent, evaluations included.
-        best_score: mean less standard deviation of the best actor.
-        best_steps: when the best actor was seen.
-        evaluations: one entry an interval.
-        episodes: environment episodes begun, which number their seeds.
+        wall_seconds: wall time in seconds, evaluations included.
+        best_score: mean less standard deviation of the best actor's return.
+        best_steps: environment steps at which the best actor was found.
+        evaluations: one entry for each evaluated interval.
+        episodes: number of training episodes begun. It seeds the next episode.
     """
 
     intervals: int = 0
@@ -111,12 +110,12 @@ class Progress:
     episodes: int = 0
 
 
-# What is called after every evaluation.
+# Called after every interval.
 OnInterval = Callable[[Progress, Hyperparameters], None]
 
 
 class SeededResets(gym.Wrapper[Any, Any, Any, Any]):
-    """Give every reset a seed of its own, numbered by ``episodes``, whatever the caller asks."""
+    """A wrapper that seeds every reset from the number of the episode and ignores the caller's seed."""
 
     def __init__(self, env: gym.Env[Any, Any], seed: int) -> None:
         super().__init__(env)
@@ -125,7 +124,7 @@ class SeededResets(gym.Wrapper[Any, Any, Any, Any]):
         self.variant: Variant | None = None
 
     def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
-        """Reset with the next seed, in ``variant`` where one is set."""
+        """Reset with the next seed, in ``variant`` if it is set."""
         kwargs["seed"] = episode_seed(self._seed, self.episodes)
         if self.variant is not None:
             kwargs["options"] = {"variant": str(self.variant)}
@@ -134,12 +133,12 @@ class SeededResets(gym.Wrapper[Any, Any, Any, Any]):
 
 
 class Run:
-    """A training run in a state folder, begun or resumed.
+    """A training run in a state folder. A run whose folder has a checkpoint is resumed.
 
     Args:
-        task: what to train.
-        folder: state of this run alone; made if need be.
-        wrap: what to put around the training environment, to record it.
+        task: the description of the run.
+        folder: state of this run alone; created if it does not exist.
+        wrap: wraps the training environment, for example to record it.
         device: see :func:`~imujoco_minari.training.agents.make_agent`.
     """
 
@@ -154,63 +153,67 @@ class Run:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "ladder").mkdir(exist_ok=True)
         self._env = SeededResets(wrap(task.environment(task.among or task.path)), task.seed)
-        self._judge = task.environment(task.among)
+        self._evaluation_env = task.environment(task.among)
         self._device = device
-        self._checkpoint_file = folder / _CHECKPOINT
+        self._checkpoint_file = folder / _CHECKPOINT_NAME
         arrays = load_arrays(self._checkpoint_file) if self._checkpoint_file.is_file() else {}
         if arrays:
             self.progress = Progress(**json.loads(arrays["progress"].tobytes()))
         self._agent = self._new_agent()
         if arrays:
-            self._resume(arrays)
+            self._load_checkpoint(arrays)
         elif task.agent:
             restore_agent(self._agent, task.agent)
 
     def train(self, on_interval: OnInterval | None = None) -> dict[str, Any]:
-        """Train to the target or the last step, and return the record of the best actor."""
+        """Train until the target or the last step and return the record of the best actor.
+
+        Args:
+            on_interval: called with progress and hyperparameters after every interval.
+        """
         if self.task.agent and not self.progress.intervals:
-            self._judge_actor(time.monotonic())
+            self._evaluate_actor(time.monotonic())
         while not self.finished:
-            self._interval()
+            self._train_interval()
             if on_interval is not None:
                 on_interval(self.progress, self.task.settings)
-        return self._record()
+        return self._make_record()
 
     @property
     def finished(self) -> bool:
-        """Whether the target or the last step is reached."""
+        """Whether the run has reached its target or its last step."""
         return (
             self.progress.best_score >= self.task.target
             or self.progress.steps >= self.task.settings.max_steps
         )
 
     def close(self) -> None:
-        """Close the environments, and let the agent go."""
+        """Close the environments and free the agent."""
         self._env.close()
-        self._judge.close()
+        self._evaluation_env.close()
         self._agent = None
         forget_compiled()
 
     def _new_agent(self) -> Any:
-        """Return a new agent, with the learning rate that the run's progress has."""
-        self._rate = self.task.settings.rate(self.progress.steps)
-        settings = replace(self.task.settings, learning_rate=self._rate)
+        """Return a new agent with the learning rate of the present step."""
+        self._learning_rate = self.task.settings.rate(self.progress.steps)
+        settings = replace(self.task.settings, learning_rate=self._learning_rate)
         return make_agent(self._env, settings, self.task.seed, self._device)
 
-    def _change_rate(self) -> None:
-        """Go on with another learning rate; an agent keeps the one that it was made with."""
+    def _change_learning_rate(self) -> None:
+        """Replace the agent by a copy with the present learning rate, which an agent cannot change."""
         before, self._agent = self._agent, self._new_agent()
         restore_agent(self._agent, agent_arrays(before))
         self._agent.replay_buffer = before.replay_buffer
         self._agent.num_timesteps, self._agent._n_updates = before.num_timesteps, before._n_updates
 
-    def _interval(self) -> None:
+    def _train_interval(self) -> None:
         begin = time.monotonic()
         settings, progress = self.task.settings, self.progress
-        if self._rate != settings.rate(progress.steps):
-            self._change_rate()
+        if self._learning_rate != settings.rate(progress.steps):
+            self._change_learning_rate()
         agent = self._agent
-        # Stable-Baselines3 draws replay samples from NumPy's global generator.
+        # Stable-Baselines3 samples its replay buffer with NumPy's global generator.
         np.random.seed(episode_seed(self.task.seed, 1_000_000 + progress.intervals))
         agent.action_space.seed(episode_seed(self.task.seed, 2_000_000 + progress.intervals))
         exploring = progress.steps < settings.exploration_steps
@@ -226,32 +229,32 @@ class Run:
         progress.steps, progress.updates = int(agent.num_timesteps), int(agent._n_updates)
         progress.episodes = self._env.episodes
         if not exploring:
-            self._judge_actor(begin)
+            self._evaluate_actor(begin)
         else:
             progress.wall_seconds += time.monotonic() - begin
-        self._checkpoint()
+        self._save_checkpoint()
 
-    def _judge_actor(self, begin: float) -> None:
-        """Evaluate the actor as it will be shipped, keep it as a rung, and as the best if it is that."""
+    def _evaluate_actor(self, begin: float) -> None:
+        """Evaluate the actor at its stored precision; save it as a checkpoint, and as the best if it is."""
         progress, settings = self.progress, self.task.settings
         arrays = actor_arrays(self._agent)
         ranked = self._evaluate(arrays, settings.ranking_episodes, RANKING_SEED)
         save_arrays(self.folder / "ladder" / f"{progress.steps}.safetensors", arrays)
-        if ranked.return_mean >= _SECOND_LOOK * progress.best_score:
-            score = self._score(arrays)
+        if ranked.return_mean >= _SECOND_EVALUATION_SHARE * progress.best_score:
+            score = self._measure_score(arrays)
             if score > progress.best_score:
                 progress.best_score, progress.best_steps = score, progress.steps
                 save_arrays(self.folder / "best.safetensors", arrays)
                 if self.task.variant.category == BASE:
-                    # What its variants will start from.
+                    # The base's variants start from this agent.
                     save_arrays(self.folder / "best-agent.safetensors", agent_arrays(self._agent))
         progress.wall_seconds += time.monotonic() - begin
         progress.evaluations.append(
             {"steps": progress.steps, "best_score": progress.best_score} | ranked.asdict()
         )
 
-    def _score(self, arrays: dict[str, Array]) -> float:
-        """Return mean less deviation over the deciding episodes, or over fewer that look no better."""
+    def _measure_score(self, arrays: dict[str, Array]) -> float:
+        """Return mean less deviation over the deciding episodes, or over fewer if those are not better."""
         score = float("-inf")
         for episodes in (self.task.settings.choosing_episodes, self.task.settings.deciding_episodes):
             score = self._evaluate(arrays, episodes, CHOOSING_SEED).score
@@ -261,33 +264,33 @@ class Run:
 
     def _evaluate(self, arrays: dict[str, Array], episodes: int, seed: int) -> Evaluation:
         actor = actor_of(arrays, self.task.settings.algorithm)
-        return evaluate(self._judge, actor, episodes=episodes, seed=seed)
+        return evaluate(self._evaluation_env, actor, episodes=episodes, seed=seed)
 
-    def _checkpoint(self) -> None:
+    def _save_checkpoint(self) -> None:
         buffer = self._agent.replay_buffer
         filled = buffer.buffer_size if buffer.full else buffer.pos
-        # One file, replaced in one step: agent, buffer and progress are never of different intervals.
+        # One file, replaced in one step, so agent, buffer and progress are always of the same interval.
         save_arrays(
             self._checkpoint_file,
             {f"agent/{name}": array for name, array in agent_arrays(self._agent).items()}
-            | {f"buffer/{name}": getattr(buffer, name)[:filled].astype(np.float32) for name in _BUFFER}
+            | {f"buffer/{name}": getattr(buffer, name)[:filled].astype(np.float32) for name in _BUFFER_ARRAYS}
             | {
                 "position": np.array([buffer.pos, int(buffer.full)]),
                 "progress": np.frombuffer(json.dumps(vars(self.progress)).encode(), dtype=np.uint8),
             },
         )
 
-    def _resume(self, arrays: dict[str, Array]) -> None:
-        restore_agent(self._agent, _below("agent/", arrays))
+    def _load_checkpoint(self, arrays: dict[str, Array]) -> None:
+        restore_agent(self._agent, _strip_prefix("agent/", arrays))
         buffer = self._agent.replay_buffer
-        for name, array in _below("buffer/", arrays).items():
+        for name, array in _strip_prefix("buffer/", arrays).items():
             getattr(buffer, name)[: len(array)] = array
         buffer.pos, buffer.full = int(arrays["position"][0]), bool(arrays["position"][1])
         self._agent.num_timesteps, self._agent._n_updates = self.progress.steps, self.progress.updates
         self._env.episodes = self.progress.episodes
 
-    def _record(self) -> dict[str, Any]:
-        """Confirm the best actor on episodes that did not choose it, and return its record."""
+    def _make_record(self) -> dict[str, Any]:
+        """Evaluate the best actor on seeds that did not select it, and return its record."""
         task, progress = self.task, self.progress
         arrays = load_arrays(self.folder / "best.safetensors")
         confirmed = self._evaluate(arrays, task.settings.confirming_episodes, CONFIRMING_SEED)
@@ -310,15 +313,15 @@ class Run:
         }
 
 
-_CHECKPOINT = "checkpoint.safetensors"
-_BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+_CHECKPOINT_NAME = "checkpoint.safetensors"
+_BUFFER_ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 
 def load_progress(folder: Path) -> Progress:
-    """Return where the run in a state folder stands, as of its last checkpoint."""
-    arrays = load_arrays(folder / _CHECKPOINT)
+    """Return the progress in the last checkpoint of a state folder."""
+    arrays = load_arrays(folder / _CHECKPOINT_NAME)
     return Progress(**json.loads(arrays["progress"].tobytes()))
 
 
-def _below(prefix: str, arrays: dict[str, Array]) -> dict[str, Array]:
+def _strip_prefix(prefix: str, arrays: dict[str, Array]) -> dict[str, Array]:
     return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}

@@ -1,7 +1,7 @@
-"""What a variant's training starts from: the base's agent, or the generalist's where that does better on it.
+"""The agent that a variant's training starts from: the base's, or the generalist if it scores higher.
 
-A generalist is one agent trained over all variants of a robot. It is nobody's expert, as it cannot know
-in which variant it walks; but on a far variant it falls less than the base's does.
+A generalist is one agent trained over all variants of a robot. It cannot know its present variant, so it is
+no expert, but it falls less often than the base's agent in a strongly changed variant.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ class Start:
     """An agent to start from.
 
     Attributes:
-        name: of the agent.
-        sha256: digest of its actor, as its record has it.
-        agent: its arrays.
-        score: mean less deviation of its return on the variant, where that was asked.
+        name: name of the agent.
+        sha256: digest of its actor, from its record.
+        agent: arrays of the agent.
+        score: mean less standard deviation of its return on the variant; -inf if not evaluated.
     """
 
     name: str
@@ -47,7 +47,7 @@ def generalist_name(robot: str) -> str:
 
 
 def generalist_record(robot: str, policies: Path | None = None) -> dict[str, Any]:
-    """Return the training record of a robot's generalist; empty when there is none."""
+    """Return the training record of a robot's generalist; empty if it does not exist."""
     path = agent_file(generalist_name(robot), policies)
     return {} if path is None else json.loads(path.with_suffix(".json").read_text("utf-8"))
 
@@ -56,22 +56,22 @@ def base_start(variant: Variant, policies: Path | None = None) -> Start:
     """Return the agent of a variant's base.
 
     Raises:
-        PolicyNotFoundError: when it is not there.
+        PolicyNotFoundError: if that agent does not exist.
     """
     record, path = expert_record(variant.base, policies), agent_file(variant.base, policies)
     if not record or path is None:
         raise PolicyNotFoundError(
-            f"{variant} starts from the agent of {variant.base}, which is not there: "
+            f"{variant} starts from the agent of {variant.base}, which does not exist: run "
             f"`imujoco train {variant.base}` first, or train with --scratch"
         )
     return Start(str(variant.base), str(record["weights_sha256"]), load_arrays(path))
 
 
 def best_start(variant: Variant, policies: Path | None = None) -> Start:
-    """Return what does better on ``variant``: the agent of its base, or the robot's generalist, if there.
+    """Return the better start for a variant: its base's agent, or the robot's generalist if it exists.
 
     Raises:
-        PolicyNotFoundError: when the base's agent is not there.
+        PolicyNotFoundError: if the base's agent does not exist.
     """
     starts, path = [base_start(variant, policies)], agent_file(generalist_name(variant.robot), policies)
     if path is not None:
@@ -79,12 +79,14 @@ def best_start(variant: Variant, policies: Path | None = None) -> Start:
         starts.append(Start(generalist_name(variant.robot), str(record["weights_sha256"]), load_arrays(path)))
     env = make(variant, disable_env_checker=True)
     try:
-        return max((_scored(env, variant.robot, start) for start in starts), key=lambda start: start.score)
+        return max(
+            (_evaluate_start(env, variant.robot, start) for start in starts), key=lambda start: start.score
+        )
     finally:
         env.close()
 
 
-def _scored(env: Env[Any, Any], robot: str, start: Start) -> Start:
+def _evaluate_start(env: Env[Any, Any], robot: str, start: Start) -> Start:
     settings = hyperparameters(robot, WARM)
     actor = actor_of(agent_actor(start.agent), settings.algorithm)
     return replace(

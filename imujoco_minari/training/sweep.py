@@ -1,7 +1,7 @@
-"""Many variants, one after another or side by side: resumed where it was, never a finished one again.
+"""Training of many variants, in sequence or in parallel. A sweep resumes runs and skips finished variants.
 
-The state folder holds one folder a variant. A variant is finished when its policy and record lie in
-the policies folder; a lock in its state folder keeps two sweeps from training it at once.
+The state folder has one folder per variant. A variant is finished when its policy and record are in the
+policies folder. A lock in its state folder prevents two sweeps from training it at once.
 """
 
 from __future__ import annotations
@@ -35,28 +35,28 @@ from imujoco_minari.training.run import OnInterval, Run, Task, load_progress
 from imujoco_minari.training.starts import base_start, best_start, generalist_name, generalist_record
 from imujoco_minari.variants import BASE, Variant, catalogue
 
-# A variant's run ends when its actor is as good as this share of the base expert's return.
+# A variant's run ends when its actor reaches this share of the base expert's score.
 TARGET_SHARE = 0.98
-# A start that has this share of what is asked needs smaller steps, not more.
+# A start with at least this share of the target trains at a smaller learning rate.
 NEAR_SHARE = 0.9
-# One that has less than this share goes by way of milder variants.
+# A start with less than this share of the target trains in milder variants first.
 FAR_SHARE = 0.5
 
 
 @dataclass(frozen=True)
 class Plan:
-    """How a sweep trains, whatever the variant.
+    """The settings of a sweep, the same for every variant.
 
     Attributes:
-        state: the folder that holds the unfinished runs.
-        policies: where finished policies go; None for the user's own folder.
-        scratch: train from scratch, also variants.
-        seed: of all that is random.
-        target: return (mean less deviation) to stop at; None for a share of the base expert's.
-        changes: hyperparameters that differ from the file's.
-        nice: lower the priority of the process by this much.
-        improve: train finished policies on, and keep what is better.
-        device: where the updates are computed: ``cpu``, ``gpu``, or None for the best that JAX has.
+        state: folder of the unfinished runs.
+        policies: folder of finished policies; None for the user's folder.
+        scratch: train variants from scratch too.
+        seed: seed of all that is random.
+        target: stop at this return (mean less deviation); None for a share of the base expert's.
+        changes: hyperparameters that replace those of the file.
+        nice: increase of the process's nice value.
+        improve: continue the training of finished policies and keep the better ones.
+        device: device of the updates: ``cpu``, ``gpu``, or None for JAX's default.
     """
 
     state: Path
@@ -72,14 +72,14 @@ class Plan:
 
 @dataclass(frozen=True)
 class Trained:
-    """What became of one variant or generalist.
+    """The outcome of training one variant or generalist.
 
     Attributes:
         variant: the variant, or the generalist's name.
-        record: of the policy that is there now.
-        created: whether that was made now.
-        tried: record of a run that was to improve it and did not.
-        error: why it failed.
+        record: record of the present policy.
+        created: whether this call trained that policy.
+        tried: record of a run that did not improve the policy.
+        error: why the training failed; empty on success.
         missing: whether it failed because something that was asked for does not exist.
     """
 
@@ -92,28 +92,29 @@ class Trained:
 
 
 def train(variant: Variant, plan: Plan, on_interval: OnInterval | None = None) -> Trained:
-    """Train one variant, or take up its training where it was, and put its policy in place.
+    """Train one variant, or resume its training, and install its policy.
 
     Args:
         variant: any variant of the grammar.
-        plan: how.
-        on_interval: called with the run's progress and hyperparameters after every evaluation.
+        plan: the settings.
+        on_interval: called with the run's progress and hyperparameters after every interval.
 
     Raises:
-        ImujocoError: when the base agent to start from is not there, or another process is at it.
+        PolicyNotFoundError: if the agent to start from does not exist.
+        TrainingError: if another process trains the variant.
     """
     if not plan.improve and (done := expert_record(variant, plan.policies)):
         return Trained(variant, dict(done))
     folder = plan.state / str(variant)
-    with _locked(folder):
-        # Looked up again: another process may have finished it while this one waited for nothing.
+    with _lock_folder(folder):
+        # Another process may have finished it before this one got the lock.
         done = expert_record(variant, plan.policies)
         if done and not plan.improve:
             return Trained(variant, dict(done))
-        record = _run(task(variant, plan), folder, plan, on_interval)
-        better = not done or _score(record) > _score(done)
+        record = _finish_run(task(variant, plan), folder, plan, on_interval)
+        better = not done or _record_score(record) > _record_score(done)
         if better:
-            before = {"before": {key: done.get(key) for key in _HISTORY}} if done else {}
+            before = {"before": {key: done.get(key) for key in _HISTORY_KEYS}} if done else {}
             record = install(folder, record | before, plan.policies)
         # The replay buffer alone is tens of megabytes.
         shutil.rmtree(folder)
@@ -122,8 +123,10 @@ def train(variant: Variant, plan: Plan, on_interval: OnInterval | None = None) -
     return Trained(variant, dict(done), tried=record)
 
 
-def _run(work: Task, folder: Path, plan: Plan, on_interval: OnInterval | None = None) -> dict[str, Any]:
-    """Run a task, or the rest of it, to its end and return the record of its best actor."""
+def _finish_run(
+    work: Task, folder: Path, plan: Plan, on_interval: OnInterval | None = None
+) -> dict[str, Any]:
+    """Run or resume a task to its end and return the record of its best actor."""
     run = Run(work, folder, device=plan.device)
     try:
         return run.train(on_interval)
@@ -132,14 +135,19 @@ def _run(work: Task, folder: Path, plan: Plan, on_interval: OnInterval | None = 
 
 
 def train_generalist(robot: str, plan: Plan) -> Trained:
-    """Train one agent over the base and all variants of a robot, for the variants to start from.
+    """Train one agent over the base and all variants of a robot. Variants may start from it.
+
+    Args:
+        robot: name of the robot.
+        plan: the settings.
 
     Raises:
-        ImujocoError: when the base agent to start from is not there, or another process is at it.
+        PolicyNotFoundError: if the base's agent does not exist.
+        TrainingError: if another process trains the generalist.
     """
     name = generalist_name(robot)
     folder, target = plan.state / name, policies_folder() if plan.policies is None else plan.policies
-    with _locked(folder):
+    with _lock_folder(folder):
         if done := generalist_record(robot, plan.policies):
             return Trained(name, done)
         base = Variant.parse(f"{robot}-{BASE}")
@@ -153,10 +161,10 @@ def train_generalist(robot: str, plan: Plan) -> Trained:
             start_sha256=start.sha256,
             among=(base, *catalogue(robot)),
         )
-        record = _run(whole, folder, plan) | {"variant": name}
+        record = _finish_run(whole, folder, plan) | {"variant": name}
         target.mkdir(parents=True, exist_ok=True)
         write_json(target / f"{name}.agent.json", record)
-        # The agent comes last: it says that the generalist is there.
+        # The agent is written last. Its presence means that the generalist is complete.
         save_arrays(target / f"{name}.agent.safetensors", load_arrays(folder / "best-agent.safetensors"))
         shutil.rmtree(folder)
     return Trained(name, record, created=True)
@@ -165,29 +173,42 @@ def train_generalist(robot: str, plan: Plan) -> Trained:
 def train_all(
     variants: Sequence[Variant], plan: Plan, *, jobs: int = 1, backend: str | None = None
 ) -> Iterator[Trained]:
-    """Train many variants and yield each outcome as it comes, failures included.
+    """Train many variants and yield each outcome when it is ready, failures included.
 
-    Bases come first, since the others start from them; then, for robots all of whose variants are to be
-    trained, the generalists. A run that is lost with its worker goes on from
-    its last checkpoint; for ``backend`` see :func:`imujoco_minari.parallel.run_jobs`.
+    Bases are trained first, because variants start from them. The generalist follows for each robot whose
+    variants are all to be trained. A run that is lost with its worker resumes from its last checkpoint.
+
+    Args:
+        variants: the variants.
+        plan: the settings.
+        jobs: number of processes.
+        backend: see :func:`imujoco_minari.parallel.run_jobs`.
+
+    Raises:
+        JobError: if the back end cannot be used.
     """
-    for group in _in_order(variants, plan):
+    for group in _training_groups(variants, plan):
         apart = backend is not None or (jobs > 1 and len(group) > 1)
-        work = partial(_attempt, plan=plan)
+        work = partial(_train_or_report, plan=plan)
         outcomes = run_jobs(work, group, jobs=jobs if apart else 1, backend=backend)
         for number, outcome in outcomes:
             yield Trained(group[number], error=str(outcome)) if isinstance(outcome, JobError) else outcome
 
 
 def install(folder: Path, record: dict[str, Any], policies: Path | None) -> dict[str, Any]:
-    """Put the policy of a finished run where policies are looked for, and return its completed record.
+    """Copy the policy of a finished run to the policies folder and return its complete record.
 
-    With a base go its whole agent, which its variants start from, and the rungs of its ladder.
+    For a base, its complete agent and the rungs of its ladder are copied too.
+
+    Args:
+        folder: state folder of the run.
+        record: the run's record.
+        policies: folder of finished policies; None for the user's folder.
     """
     target = policies_folder() if policies is None else policies
     target.mkdir(parents=True, exist_ok=True)
     variant, expert = Variant.parse(record["variant"]), record["evaluation"]["return_mean"]
-    # An improved base keeps the ladder of its way up; an expert's further training falls as it likes.
+    # An improved base keeps its first ladder: the returns of further training do not rise step by step.
     rungs = rungs_of(variant.base, policies)
     if variant.category == BASE:
         if "before" not in record:
@@ -196,13 +217,13 @@ def install(folder: Path, record: dict[str, Any], policies: Path | None) -> dict
         save_arrays(target / f"{variant}.agent.safetensors", load_arrays(folder / "best-agent.safetensors"))
     record = record | {"ladder": measure_ladder(variant, expert, rungs, target)}
     save_arrays(target / f"{variant}.safetensors", load_arrays(folder / "best.safetensors"))
-    # The record comes last: it says that the policy is there.
+    # The record is written last. Its presence means that the policy is complete.
     write_json(target / f"{variant}.json", record)
     return record
 
 
-# What a record says of the policy that its own improves on.
-_HISTORY = (
+# The entries of a record that are kept, under `before`, when the policy is improved.
+_HISTORY_KEYS = (
     "start",
     "seed",
     "steps",
@@ -215,13 +236,13 @@ _HISTORY = (
 )
 
 
-def _score(record: Mapping[str, Any]) -> float:
+def _record_score(record: Mapping[str, Any]) -> float:
     return float(record["evaluation"]["return_mean"] - record["evaluation"]["return_std"])
 
 
-def _attempt(variant: Variant | str, plan: Plan) -> Trained:
-    """Train a variant, or the generalist of a robot that is given by its name."""
-    # Processes of a pool are used again, and must not sink deeper with every variant.
+def _train_or_report(variant: Variant | str, plan: Plan) -> Trained:
+    """Train a variant, or the generalist of the robot with this name; return errors as an outcome."""
+    # A process of a pool trains several variants. Set its nice value once, do not add to it each time.
     os.nice(max(0, plan.nice - max(0, os.nice(0))))
     try:
         return train(variant, plan) if isinstance(variant, Variant) else train_generalist(variant, plan)
@@ -230,10 +251,10 @@ def _attempt(variant: Variant | str, plan: Plan) -> Trained:
 
 
 def task(variant: Variant, plan: Plan) -> Task:
-    """Return what the plan makes of a variant: start, target and hyperparameters.
+    """Return the run of a variant under a plan: its start, target and hyperparameters.
 
     Raises:
-        PolicyNotFoundError: when the agent to start from is not there.
+        PolicyNotFoundError: if the agent to start from does not exist.
     """
     record = expert_record(variant.base, plan.policies)
     target = float("inf") if plan.target is None else plan.target
@@ -242,10 +263,10 @@ def task(variant: Variant, plan: Plan) -> Task:
         settings = hyperparameters(variant.robot, SCRATCH, **plan.changes)
         return Task(variant, settings, plan.seed, target=target)
     start = best_start(variant, plan.policies)
-    asked = TARGET_SHARE * _score(record)
+    needed_score = TARGET_SHARE * _record_score(record)
     if plan.target is None and not improving:
-        target = asked
-    kind = IMPROVE if variant.category == BASE else _kind(start.score / asked)
+        target = needed_score
+    kind = IMPROVE if variant.category == BASE else _start_kind(start.score / needed_score)
     settings = hyperparameters(variant.robot, kind, **plan.changes)
     return Task(
         variant,
@@ -258,15 +279,15 @@ def task(variant: Variant, plan: Plan) -> Task:
     )
 
 
-def _kind(share: float) -> str:
-    """Return what kind of start one is that has this share of what is asked."""
+def _start_kind(share: float) -> str:
+    """Return the kind of a start that reaches this share of the target."""
     if share >= NEAR_SHARE:
         return NEAR
     return WARM if share >= FAR_SHARE else FAR
 
 
-def _in_order(variants: Sequence[Variant], plan: Plan) -> Iterator[list[Variant | str]]:
-    """Yield what must be done before what follows: bases, the names of robots for generalists, the rest."""
+def _training_groups(variants: Sequence[Variant], plan: Plan) -> Iterator[list[Variant | str]]:
+    """Yield groups in order of training: bases, robots whose generalist is needed, other variants."""
     first = [variant for variant in variants if variant.category == BASE]
     rest = [variant for variant in variants if variant.category != BASE]
     general: list[str] = []
@@ -283,8 +304,8 @@ def _in_order(variants: Sequence[Variant], plan: Plan) -> Iterator[list[Variant 
 
 
 @contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Hold a run's state folder against other processes."""
+def _lock_folder(folder: Path) -> Iterator[None]:
+    """Lock a run's state folder; raise a TrainingError if another process has the lock."""
     folder.mkdir(parents=True, exist_ok=True)
     handle = os.open(folder / "lock", os.O_CREAT | os.O_RDWR)
     try:
@@ -298,5 +319,5 @@ def _locked(folder: Path) -> Iterator[None]:
 
 
 def default_state() -> Path:
-    """Return where unfinished runs lie unless told otherwise: beside the user's policies."""
+    """Return the default folder of unfinished runs, beside the user's policies."""
     return policies_folder().parent / "training"

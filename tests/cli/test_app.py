@@ -57,7 +57,7 @@ def test_publish_verify_combine(capsys: pytest.CaptureFixture[str], root: Path) 
     assert run(["combine", "--robot", "hopper", "--tier", "random"]) == 0
     assert "combined 3 datasets into imujoco/hopper-all-random-v0: 6 episodes" in capsys.readouterr().out
     assert run(["combine", "--robot", "hopper", "--tier", "random"]) == 1
-    assert "already there" in capsys.readouterr().err
+    assert "already exists" in capsys.readouterr().err
     assert run(["verify", *minari.list_local_datasets()]) == 0
     assert capsys.readouterr().out.count(": sound") == 4
 

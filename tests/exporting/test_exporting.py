@@ -218,7 +218,7 @@ def test_what_is_there_is_left_alone_unless_forced(data: Arrays, tmp_path: Path,
     target = tmp_path / "x"
     export(data, format, target)
     before = sorted(target.rglob("*")) or target.read_bytes()
-    with pytest.raises(DatasetExistsError, match="is already there; it was left alone"):
+    with pytest.raises(DatasetExistsError, match="already exists; it was not changed"):
         export(data.select([0]), format, target)
     assert (sorted(target.rglob("*")) or target.read_bytes()) == before
     assert export(data.select([0]), format, target, force=True).episodes == 1
@@ -274,7 +274,7 @@ def test_the_command_exports(
     assert written["steps"] == len(arrays(small_datasets, portion=(0.0, 0.5)))
     assert Path(written["path"]).exists()
     assert run(["export", *small_datasets, "--format", format]) == 1
-    assert "is already there" in capsys.readouterr().err
+    assert "already exists; it was not changed" in capsys.readouterr().err
 
 
 def test_the_command_names_a_dataset_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
@@ -291,7 +291,7 @@ def test_the_command_writes_preferences(
     with np.load(target) as saved:
         assert saved["first_observations"].shape == (30, 5, 11)
     assert run(["preferences", *small_datasets, "-o", str(target), "-l", "5"]) == 1
-    assert "is already there" in capsys.readouterr().err
+    assert "already exists; it was not changed" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("format", sorted(FORMATS))
@@ -311,7 +311,7 @@ def test_force_replaces_no_file_or_folder_of_others(
     else:
         target.write_text("thesis")
     before = sorted(target.rglob("*")) or target.read_bytes()
-    with pytest.raises(DatasetExistsError, match=r"x is not replaced: it is not an export of imujoco"):
+    with pytest.raises(DatasetExistsError, match=r"x was not replaced: it is not an export of imujoco"):
         export(data, format, target, force=True)
     assert (sorted(target.rglob("*")) or target.read_bytes()) == before
     assert list(tmp_path.iterdir()) == [target]
@@ -320,7 +320,7 @@ def test_force_replaces_no_file_or_folder_of_others(
 def test_force_replaces_no_export_to_which_a_file_was_added(data: Arrays, tmp_path: Path) -> None:
     export(data, "rlds", tmp_path / "x")
     (tmp_path / "x" / "notes.txt").write_text("thesis")
-    with pytest.raises(DatasetExistsError, match="or holds other files too"):
+    with pytest.raises(DatasetExistsError, match="or it has other files too"):
         export(data, "rlds", tmp_path / "x", force=True)
     (tmp_path / "x" / "notes.txt").unlink()
     export(data, "rlds", tmp_path / "x", force=True)

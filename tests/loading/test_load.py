@@ -238,7 +238,7 @@ def test_saving_replaces_only_saved_arrays_and_only_by_force(tmp_path: Path) -> 
     assert len(Arrays.load(target)) == 2
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.tex").touch()
-    with pytest.raises(DatasetExistsError, match="other is not replaced: it is not an export"):
+    with pytest.raises(DatasetExistsError, match="other was not replaced: it is not an export"):
         synthetic([2]).save(tmp_path / "other", force=True)
     assert (tmp_path / "other" / "thesis.tex").exists()
 
@@ -373,7 +373,7 @@ def test_a_dataset_that_was_deleted_is_named(small_datasets: list[str]) -> None:
     ("damage", "message"),
     [
         (lambda f: f.pop("episode_1/rewards"), "episode 1 has no array rewards"),
-        (lambda f: f.move("episode_3/actions", "episode_2/actions"), "episode 2: actions are of shape"),
+        (lambda f: f.move("episode_3/actions", "episode_2/actions"), "episode 2: actions have shape"),
         (lambda f: f.pop("episode_3"), "has no episode 3"),
         (lambda f: _store(f, "episode_0/rewards", 1.0), "episode 0: rewards are not an array"),
         (lambda f: _store(f, "episode_1/rewards", 1.0), "episode 1: rewards are not an array"),
@@ -422,7 +422,7 @@ def test_datasets_of_different_shapes_do_not_mix(small_datasets: list[str]) -> N
             wide = np.zeros((len(group["observations"]), 17))
             del group["observations"]
             group["observations"] = wide
-    with pytest.raises(DatasetError, match="observations are of shape"):
+    with pytest.raises(DatasetError, match="observations have shape"):
         arrays([HOPPER, LEGS])
 
 

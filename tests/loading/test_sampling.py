@@ -363,7 +363,7 @@ def test_preferences_are_saved_whole(tmp_path) -> None:
         np.testing.assert_array_equal(saved["preferred"], chosen.preferred)
         np.testing.assert_array_equal(saved["second_observations"], chosen.second.observations)
         np.testing.assert_array_equal(saved["first_actions"], chosen.first.actions)
-    with pytest.raises(DatasetExistsError, match=r"pairs\.npz is already there"):
+    with pytest.raises(DatasetExistsError, match=r"pairs\.npz already exists"):
         chosen.save(tmp_path / "pairs.npz")
 
 

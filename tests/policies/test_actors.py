@@ -50,13 +50,15 @@ def test_an_exported_zip_predicts_as_the_actor_acts_and_reads_back(
 
 def test_an_exported_zip_replaces_no_zip_of_others(tmp_path: Path) -> None:
     path = export_zip(HOPPER, tmp_path / "mine.zip", random_actor())
-    with pytest.raises(DatasetExistsError, match=r"mine.zip is already there; it was left alone"):
+    with pytest.raises(DatasetExistsError, match=r"mine.zip already exists; it was not changed"):
         export_zip(HOPPER, path, random_actor())
     export_zip(HOPPER, path, random_actor(), force=True)
     with zipfile.ZipFile(path, "a") as trained:
         trained.comment = b""
     before = path.read_bytes()
-    with pytest.raises(DatasetExistsError, match=r"mine.zip is not replaced: it is not an export of imujoco"):
+    with pytest.raises(
+        DatasetExistsError, match=r"mine.zip was not replaced: it is not an export of imujoco"
+    ):
         export_zip(HOPPER, path, random_actor(), force=True)
     assert path.read_bytes() == before
 

@@ -159,7 +159,7 @@ def test_what_is_damaged_or_missing_is_named(sources, root):
 
 def test_a_taken_id_is_left_alone_unless_forced(sources):
     combine_datasets(sources[:1], NEW)
-    with pytest.raises(DatasetExistsError, match="already there"):
+    with pytest.raises(DatasetExistsError, match="already exists"):
         combine_datasets(sources, NEW)
     assert minari.load_dataset(NEW).total_episodes == EPISODES
     assert combine_datasets(sources, NEW, force=True).total_episodes == 3 * EPISODES
@@ -175,10 +175,10 @@ def test_nothing_and_two_robots_are_refused(sources, monkeypatch):
     publish("halfcheetah-base", tier="random", episodes=1)
     with pytest.raises(DatasetError, match="no dataset was given"):
         combine_datasets([], NEW)
-    with pytest.raises(DatasetError, match="a collection holds one robot"):
+    with pytest.raises(DatasetError, match="a collection has datasets of one robot"):
         combine_datasets([IDS[0], "imujoco/halfcheetah-base-random-v0"], NEW)
     empty = minari.load_dataset(IDS[0]).filter_episodes(lambda episode: False)
-    with pytest.raises(DatasetError, match="hold no episodes"):
+    with pytest.raises(DatasetError, match="have no episodes"):
         combine_datasets([empty], NEW)
 
 

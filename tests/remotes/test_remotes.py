@@ -179,7 +179,7 @@ def test_pushing_again_leaves_the_same_alone_and_refuses_another(store: FolderSt
 def test_a_damaged_dataset_is_not_pushed(store: FolderStore, root: Path) -> None:
     with h5py.File(root / HOPPER / "data" / MAIN_FILE, "a") as file:
         file["episode_0/actions"][0] += 1
-    with pytest.raises(DatasetError, match="not pushed, its check found"):
+    with pytest.raises(DatasetError, match="not pushed, because its check found"):
         remotes.push(HOPPER, REMOTE)
     assert store.uploads == []
 
@@ -190,7 +190,7 @@ def test_damage_on_the_way_is_found_when_read_back_and_mended_by_pushing_again(s
             file.write_bytes(file.read_bytes()[:-1] + b"?")
 
     store.on_upload = damage
-    with pytest.raises(RemoteError, match=f"{MAIN_FILE} was read back, and is not what was uploaded"):
+    with pytest.raises(RemoteError, match=f"{MAIN_FILE} was downloaded again and differs from the upload"):
         remotes.push(HOPPER, REMOTE)
     store.on_upload = lambda file: None
     assert remotes.push(HOPPER, REMOTE)[0].uploaded
@@ -324,8 +324,8 @@ def test_without_a_remote_the_command_says_how_to_name_one(capsys: pytest.Captur
 @pytest.mark.parametrize(
     ("status", "address", "message"),
     [
-        (404, "gcp://bucket", "there is no such bucket; make it first"),
-        (404, "hf://user", "there is no such user"),
+        (404, "gcp://bucket", "no such bucket; create it first"),
+        (404, "hf://user", "no such user"),
         (401, "hf://user", "the token is missing or not accepted"),
         (403, "gcp://bucket", "the token does not allow this"),
         (429, "hf://user", "wait and push again"),
@@ -335,13 +335,13 @@ def test_without_a_remote_the_command_says_how_to_name_one(capsys: pytest.Captur
 def test_an_error_of_the_remote_is_one_line_about_what_to_do(status: int, address: str, message: str) -> None:
     error = OSError("server\nstack")
     error.code = status  # type: ignore[attr-defined]
-    with pytest.raises(RemoteError, match=message) as raised, stores.explained(address):
+    with pytest.raises(RemoteError, match=message) as raised, stores.remote_errors(address):
         raise error
     assert "\n" not in str(raised.value)
 
 
 def test_a_mistake_of_ours_is_not_told_as_the_remotes() -> None:
-    with pytest.raises(TypeError), stores.explained(REMOTE):
+    with pytest.raises(TypeError), stores.remote_errors(REMOTE):
         len(3)  # type: ignore[arg-type]
 
 

@@ -153,8 +153,8 @@ def test_a_hub_that_refuses_says_why(
     ("token", "message"),
     [
         (None, "no credentials: give the path of a service account's key file with --token"),
-        ("no such file", "there is no key file at no such file"),
-        (__file__, "is no service account's key file"),
+        ("no such file", "no key file at no such file"),
+        (__file__, "is not a service account's key file"),
     ],
 )
 def test_a_bucket_asks_for_a_key_file(

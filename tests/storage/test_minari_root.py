@@ -116,7 +116,7 @@ class TestCommit:
 
     def test_a_taken_id_is_left_alone(self, root: Path) -> None:
         put("first")
-        with pytest.raises(DatasetExistsError, match="left alone"):
+        with pytest.raises(DatasetExistsError, match=r"already exists, at .*; it was not changed"):
             put("second")
         assert listed() == {ID: "first"}
         assert leftovers(root) == []
@@ -129,7 +129,7 @@ class TestCommit:
 
     def test_replace_does_not_remove_what_is_no_dataset(self, root: Path) -> None:
         put("inner", "imujoco/hopper-v0/inner-v0")
-        with pytest.raises(DatasetExistsError, match="no dataset"):
+        with pytest.raises(DatasetExistsError, match="is not a dataset, so it was not replaced"):
             put("outer", "imujoco/hopper-v0", replace=True)
         assert listed() == {"imujoco/hopper-v0/inner-v0": "inner"}
 

@@ -72,7 +72,7 @@ def test_a_killed_run_ends_in_the_weights_of_one_that_was_not(task: Task, tmp_pa
     broken = Run(task, tmp_path / "broken")
     # Killed after the third of four intervals, before the rate falls: what is left is on the disk.
     for _ in range(3):
-        broken._interval()
+        broken._train_interval()
     resumed = Run(task, tmp_path / "broken")
     assert resumed.progress.steps == broken.progress.steps >= 250
     again = resumed.train()
@@ -267,14 +267,14 @@ def test_a_run_goes_by_way_of_milder_variants_and_is_judged_in_its_own(tmp_path:
     steps = [0]
     begun = [0]
     while not run.finished:
-        run._interval()
+        run._train_interval()
         steps.append(run.progress.steps)
         begun.append(len(trained_in))
     assert steps == [0, 100, 160, 260, 360, 460]
     # Each interval begins with a reset; it begins in the variant that its first step is due in.
     firsts = [trained_in[number] for number in begun[:-1]]
     assert firsts == [f"hopper-massdec_{percent}_leggeom" for percent in (8, 17, 17, 25, 25)]
-    assert run._judge.unwrapped.variant == LIGHT_LEG
+    assert run._evaluation_env.unwrapped.variant == LIGHT_LEG
     run.close()
 
 
@@ -295,7 +295,7 @@ def test_an_actor_that_seems_the_best_is_looked_at_longer(
     monkeypatch.setattr(Run, "_evaluate", evaluate)
     # Two intervals only explore.
     for _ in range(4):
-        run._interval()
+        run._train_interval()
     assert looks == [1, 2, 3] * 2
     assert run.progress.best_score == 40.0
     assert run.progress.best_steps == 260

@@ -189,7 +189,7 @@ def test_a_small_disk(root: Path) -> None:
 KILLED_AT = {
     "rolling out": "imujoco_minari.publishing.publisher.complete_metadata",
     "before the rename": "imujoco_minari.storage.minari_root.rename_new",
-    "after the rename": "imujoco_minari.publishing.publisher._summary",
+    "after the rename": "imujoco_minari.publishing.publisher._read_outcome",
 }
 
 
@@ -218,7 +218,7 @@ def test_force_that_fails_leaves_the_old_one(root: Path, monkeypatch: pytest.Mon
         return ["damage"]
 
     monkeypatch.setattr("imujoco_minari.publishing.publisher.inspect", fail)
-    with pytest.raises(ImujocoError, match="not published, its check found: damage"):
+    with pytest.raises(ImujocoError, match="not published, because its check found: damage"):
         publish("hopper-base", tier="random", episodes=2, force=True)
     monkeypatch.undo()
     os.environ["MINARI_DATASETS_PATH"] = str(root)
