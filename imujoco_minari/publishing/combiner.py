@@ -23,7 +23,7 @@ from minari.dataset.minari_storage import MinariStorage
 from imujoco_minari.envs.registration import dataset_spec, stored_models
 from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError
 from imujoco_minari.publishing.sources import Source, check_sources, open_source
-from imujoco_minari.storage import copying, file_format, minari_root
+from imujoco_minari.storage import copying, file_format, minari_root, transactions
 from imujoco_minari.storage.metadata import complete_metadata, provenance
 from imujoco_minari.storage.quiet_file import writing
 from imujoco_minari.variants import EXPERT, NAMESPACE
@@ -77,14 +77,14 @@ def combine_datasets(
         200
     """
     folder = minari_root.dataset_folder(new_dataset_id)
-    if minari_root.taken(new_dataset_id) and not force:
+    if transactions.taken(new_dataset_id) and not force:
         raise DatasetExistsError(
             f"{new_dataset_id} already exists, at {folder}; it was not changed (--force replaces it)"
         )
     with minari_root.storage_errors():
         sources = [open_source(dataset) for dataset in datasets_to_combine]
         check_sources(sources)
-    with minari_root.staging(new_dataset_id) as staging_folder:
+    with transactions.staging(new_dataset_id) as staging_folder:
         staged = staging_folder / "dataset"
         staged.mkdir()
         data = staged / "data"
@@ -102,7 +102,7 @@ def combine_datasets(
             else:
                 written = _copy_sources(sources, data)
         complete_metadata(data, _collection_metadata(sources, new_dataset_id, written))
-        minari_root.commit(staged, new_dataset_id, replace=force)
+        transactions.commit(staged, new_dataset_id, replace=force)
     with minari_root.storage_errors():
         return MinariDataset(folder / "data")
 

@@ -32,7 +32,7 @@ from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies.references import reference_scores
 from imujoco_minari.publishing.recipes import Recipe, algorithms, description
 from imujoco_minari.publishing.shares import OnEpisode, record_shares
-from imujoco_minari.storage import file_format, minari_root
+from imujoco_minari.storage import file_format, minari_root, transactions
 from imujoco_minari.storage.metadata import complete_metadata, provenance, read_metadata
 from imujoco_minari.storage.quiet_file import writing
 from imujoco_minari.storage.writer import new_storage
@@ -116,7 +116,7 @@ def publish(
         parsed = Variant.parse(recipe) if isinstance(recipe, str) else recipe
         path = None if policy is None else Path(policy)
         recipe = Recipe(parsed, tier, episodes, seed, path, stochastic)
-    if minari_root.taken(recipe.dataset_id) and not force:
+    if transactions.taken(recipe.dataset_id) and not force:
         _check_same_recipe(recipe.dataset_id, recipe.stated())
         return _read_outcome(recipe.dataset_id, created=False)
     start = time.monotonic()
@@ -125,7 +125,7 @@ def publish(
     metadata |= provenance(
         algorithm=algorithms([part.policy for part in made_by]), description=description(recipe, made_by)
     )
-    with minari_root.staging(recipe.dataset_id) as folder:
+    with transactions.staging(recipe.dataset_id) as folder:
         staged = folder / "dataset"
         staged.mkdir()
         record_shares(recipe, made_by, staged / "data", jobs, on_episode)
@@ -168,13 +168,13 @@ def publish_episodes(
         DatasetError: if the check of the new dataset fails.
     """
     dataset_id = dataset.dataset_id
-    if minari_root.taken(dataset_id) and not force:
+    if transactions.taken(dataset_id) and not force:
         _check_same_recipe(
             dataset_id, {key: dataset.metadata[key] for key in _ORIGIN_KEYS if key in dataset.metadata}
         )
         return _read_outcome(dataset_id, created=False)
     start = time.monotonic()
-    with minari_root.staging(dataset_id) as folder:
+    with transactions.staging(dataset_id) as folder:
         staged = folder / "dataset"
         staged.mkdir()
         env = gym.make(spec)
@@ -228,7 +228,7 @@ def _check_and_commit(staged: Path, dataset: NewDataset, force: bool) -> bool:
     if findings:
         raise DatasetError(f"{dataset_id}: not published, because its check found: {findings[0]}")
     try:
-        minari_root.commit(staged, dataset_id, replace=force)
+        transactions.commit(staged, dataset_id, replace=force)
     except DatasetExistsError:
         if force:
             raise

@@ -9,7 +9,7 @@ from pathlib import Path
 import h5py
 
 from imujoco_minari.errors import DatasetError, ImujocoError, NotFoundError
-from imujoco_minari.storage import file_format, minari_root
+from imujoco_minari.storage import file_format, minari_root, transactions
 from imujoco_minari.storage.metadata import read_metadata
 from imujoco_minari.storage.missing import not_in_root
 
@@ -79,7 +79,7 @@ def _delete(dataset_id: str, collections: set[str]) -> Deleted:
             "delete that first, or give --force"
         )
     size = sum(path.lstat().st_size for path in data.rglob("*") if path.is_file())
-    minari_root.remove(dataset_id)
+    transactions.remove(dataset_id)
     return Deleted(dataset_id, folder, size)
 
 
@@ -90,7 +90,7 @@ def linked_collections() -> dict[str, set[str]]:
     for file in root.glob("**/data/metadata.json"):
         data = file.parent
         sources = read_metadata(data).get("combined_datasets")
-        if isinstance(sources, list) and minari_root.STAGING not in file.parts and _is_linked(data):
+        if isinstance(sources, list) and transactions.STAGING not in file.parts and _is_linked(data):
             for source in sources:
                 found.setdefault(str(source), set()).add(data.parent.relative_to(root).as_posix())
     return found

@@ -19,7 +19,8 @@ from minari.storage.remotes.huggingface import HuggingFaceStorage
 
 from imujoco_minari.errors import RemoteError
 from imujoco_minari.remotes.stores import CARD, FILES, namespace_file, parse_object
-from imujoco_minari.storage.minari_root import NAMESPACE_FILE, dataset_folder
+from imujoco_minari.storage.minari_root import dataset_folder
+from imujoco_minari.storage.transactions import NAMESPACE_FILE
 
 _ATTEMPTS = 5
 _CONFLICTS = (409, 412)

@@ -20,7 +20,7 @@ import numpy as np
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError, NotFoundError
 from imujoco_minari.remotes.connecting import connect
 from imujoco_minari.remotes.stores import Store, metadata, remote_errors, sources_of
-from imujoco_minari.storage import copying, file_format, minari_root
+from imujoco_minari.storage import copying, file_format, minari_root, transactions
 from imujoco_minari.storage.metadata import read_metadata
 from imujoco_minari.verification import Finding, child_process, inspect
 
@@ -117,11 +117,11 @@ def _pull_with_sources(
     """
     if dataset_id in done:
         return
-    if minari_root.taken(dataset_id) and dataset_id not in replaceable:
+    if transactions.taken(dataset_id) and dataset_id not in replaceable:
         done.add(dataset_id)
         yield Pulled(dataset_id, remote, minari_root.dataset_folder(dataset_id))
         return
-    with minari_root.staging(dataset_id) as folder:
+    with transactions.staging(dataset_id) as folder:
         outcomes = list(_download_and_check(store, dataset_id, remote, replaceable - done, folder, set()))
         for outcome in outcomes:
             if outcome.downloaded:
@@ -177,9 +177,9 @@ def _download_and_check(
 
 def _commit_staged(folder: Path, dataset_id: str, replace: bool) -> None:
     """Commit the dataset in ``folder`` from its own staging folder, which keeps the replaced one."""
-    with minari_root.staging(dataset_id) as apart:
+    with transactions.staging(dataset_id) as apart:
         staged = (folder / dataset_id).rename(apart / "dataset")
-        minari_root.commit(staged, dataset_id, replace=replace)
+        transactions.commit(staged, dataset_id, replace=replace)
 
 
 def _has_same_simulator(stated: dict[str, Any]) -> bool:

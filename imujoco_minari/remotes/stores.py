@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 from imujoco_minari.errors import ImujocoError, RemoteError
 from imujoco_minari.storage.file_format import MAIN_FILE
-from imujoco_minari.storage.minari_root import NAMESPACE_FILE
+from imujoco_minari.storage.transactions import NAMESPACE_FILE
 
 METADATA_FILE = "data/metadata.json"
 # The files of a dataset in the order of writing. Minari lists folders that have a metadata.json.

@@ -15,7 +15,7 @@ from pathlib import Path
 import h5py
 
 from imujoco_minari.errors import DatasetExistsError, StorageError
-from imujoco_minari.storage import minari_root
+from imujoco_minari.storage import transactions
 from imujoco_minari.storage.atomic import exchange
 from imujoco_minari.storage.quiet_file import writing
 
@@ -46,7 +46,7 @@ def new_target(target: Path, *, force: bool = False) -> Iterator[Path]:
                 "move it away, or choose another path"
             )
         target.parent.mkdir(parents=True, exist_ok=True)
-        with minari_root.scratch(target.parent, _PREFIX) as staging:
+        with transactions.scratch(target.parent, _PREFIX) as staging:
             yield staging / target.name
             _write_mark(staging / target.name)
             _move_into_place(staging / target.name, target)

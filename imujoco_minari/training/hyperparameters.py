@@ -1,4 +1,4 @@
-"""Hyperparameters by robot and start: ``hyperparameters.toml`` states the reasons, a robot's page may differ."""
+"""Hyperparameters by robot and start: ``hyperparameters.toml`` has the reasons, a robot's page may differ."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ from imujoco_minari.errors import ImujocoError
 from imujoco_minari.policies.references import random_evaluation
 from imujoco_minari.publishing.combiner import combine_datasets
 from imujoco_minari.publishing.publisher import publish
-from imujoco_minari.storage import minari_root
+from imujoco_minari.storage import transactions
 from imujoco_minari.variants import Variant
 from imujoco_minari.verification import inspect
 
@@ -104,7 +104,7 @@ def visible(root: Path) -> dict[str, str]:
         findings = inspect(root / dataset_id / "data", replay_episodes=0)
         assert not findings, f"{dataset_id}: {findings[0]}"
         digests[dataset_id] = str(metadata.get("content_sha256", metadata["file_sha256"]))
-    for file in (root / "imujoco").rglob(minari_root.NAMESPACE_FILE):
+    for file in (root / "imujoco").rglob(transactions.NAMESPACE_FILE):
         json.loads(file.read_text())
     return digests
 
@@ -183,8 +183,8 @@ def faults(name: str, scenario: Scenario, scratch: Path, every: int, tally: Tall
                 assert status == (REFUSED if refused else DONE), f"the next run ended with {status}: {text}"
                 assert visible(root) == after, "the next run made something else"
                 if refused:
-                    in_child(minari_root.tidy, root)
-                left = list((root / minari_root.STAGING).glob("*")) + list(root.rglob(".namespace*"))
+                    in_child(transactions.tidy, root)
+                left = list((root / transactions.STAGING).glob("*")) + list(root.rglob(".namespace*"))
                 assert not left, f"left behind: {left}"
             except Exception as error:
                 tally.failures.append(f"{where}: {type(error).__name__}: {error}")

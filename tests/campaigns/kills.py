@@ -24,7 +24,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from imujoco_minari.policies import expert_actor, expert_record, policies_folder
-from imujoco_minari.storage import minari_root
+from imujoco_minari.storage import transactions
 from imujoco_minari.variants import Variant
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -187,7 +187,7 @@ class Trials:
         left = [path for path in self.place.rglob(".*") if path.name != ".namespace"]
         if left and refused:
             os.environ["MINARI_DATASETS_PATH"] = str(self.place / "root")
-            minari_root.tidy()
+            transactions.tidy()
             left = [path for path in left if path.exists()]
         assert not left, f"left behind: {left}"
 

@@ -13,7 +13,7 @@ import pytest
 from imujoco_minari.cli.app import run
 from imujoco_minari.publishing.combiner import combine_datasets
 from imujoco_minari.publishing.removal import delete, linked_collections
-from imujoco_minari.storage import minari_root
+from imujoco_minari.storage import minari_root, transactions
 
 BASE, LEG, FEET = (
     f"imujoco/hopper-{name}-random-v0" for name in ("base", "massdec_25_leggeom", "frictiondec_50_feet")
@@ -120,4 +120,4 @@ def test_a_link_to_a_dataset_elsewhere_goes_and_the_dataset_stays(
     assert outcome.error == ""
     assert not minari_root.exists(LEG)
     assert (tmp_path / "elsewhere" / "data" / "main_data.hdf5").is_file()
-    assert not (root / minari_root.STAGING).exists()
+    assert not (root / transactions.STAGING).exists()

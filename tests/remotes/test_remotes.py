@@ -25,7 +25,7 @@ from imujoco_minari.errors import (
 from imujoco_minari.publishing.combiner import combine_datasets
 from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.remotes import card, connecting, pulling, pushing, stores
-from imujoco_minari.storage import minari_root
+from imujoco_minari.storage import minari_root, transactions
 from imujoco_minari.storage.file_format import MAIN_FILE
 from imujoco_minari.verification import child_process, inspect
 
@@ -57,7 +57,7 @@ class FolderStore:
         return all(self.read(f"{dataset_id}/{name}") == (ours / name).read_bytes() for name in stores.FILES)
 
     def upload_namespace(self, namespace: str) -> None:
-        self._put(f"{namespace}/{minari_root.NAMESPACE_FILE}", b"{}")
+        self._put(f"{namespace}/{transactions.NAMESPACE_FILE}", b"{}")
 
     def upload_dataset(self, dataset_id: str, text: str | None = None) -> None:
         self._put(f"{dataset_id}/{stores.CARD}", (text or "").encode())
@@ -462,7 +462,7 @@ def test_a_killed_pull_force_loses_nothing_where_folders_cannot_be_swapped(
     remotes.push(BASE, REMOTE)
     other_content()
     # Dies between the two renames; a process that is killed tidies nothing.
-    monkeypatch.setattr(minari_root, "exchange", lambda source, target: False)
+    monkeypatch.setattr(transactions, "exchange", lambda source, target: False)
     rename = Path.rename
 
     def killed(path: Path, target: Path) -> Path:
@@ -472,10 +472,10 @@ def test_a_killed_pull_force_loses_nothing_where_folders_cannot_be_swapped(
 
     with monkeypatch.context() as patch:
         patch.setattr(Path, "rename", killed)
-        patch.setattr(minari_root, "_discard", lambda folder, lock: os.close(lock))
+        patch.setattr(transactions, "_discard", lambda folder, lock: os.close(lock))
         with pytest.raises(KeyboardInterrupt):
             remotes.pull(BASE, REMOTE, force=True)
     assert not minari_root.exists(BASE)
-    minari_root.tidy()
+    transactions.tidy()
     assert minari_root.exists(BASE)
     assert verification.verify(BASE) == []

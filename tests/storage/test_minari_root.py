@@ -18,7 +18,7 @@ from minari import namespace
 
 from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError, StorageError
 from imujoco_minari.publishing.publisher import publish
-from imujoco_minari.storage import minari_root
+from imujoco_minari.storage import minari_root, transactions
 
 ID = "imujoco/hopper-base-v0"
 
@@ -32,8 +32,8 @@ def stage(folder: Path, mark: str, dataset_id: str = ID) -> Path:
 
 
 def put(mark: str, dataset_id: str = ID, *, replace: bool = False) -> None:
-    with minari_root.staging() as folder:
-        minari_root.commit(stage(folder, mark, dataset_id), dataset_id, replace=replace)
+    with transactions.staging() as folder:
+        transactions.commit(stage(folder, mark, dataset_id), dataset_id, replace=replace)
 
 
 def listed() -> dict[str, str]:
@@ -48,7 +48,7 @@ def dead_folder(root: Path) -> Path:
     """Leave what a process leaves that dies in its work."""
     code = (
         "import os, sys; from imujoco_minari.storage import minari_root\n"
-        "with minari_root.staging() as folder: print(folder, flush=True); os.kill(os.getpid(), 9)"
+        "with transactions.staging() as folder: print(folder, flush=True); os.kill(os.getpid(), 9)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == -9, done.stderr
@@ -109,7 +109,7 @@ class TestCommit:
         assert leftovers(root) == []
 
     def test_a_staged_dataset_is_not_listed(self) -> None:
-        with minari_root.staging() as folder:
+        with transactions.staging() as folder:
             stage(folder, "first")
             assert listed() == {}
         assert listed() == {}
@@ -165,13 +165,13 @@ class TestCommit:
 class TestRoot:
     def test_a_root_that_is_a_file(self, root: Path) -> None:
         root.write_text("")
-        with pytest.raises(StorageError, match="cannot use the Minari root"), minari_root.staging():
+        with pytest.raises(StorageError, match="cannot use the Minari root"), transactions.staging():
             pass
 
     def test_a_namespace_that_is_a_file(self, root: Path) -> None:
         root.mkdir()
         (root / "imujoco").write_text("")
-        with pytest.raises(StorageError, match="Not a directory"), minari_root.staging(ID):
+        with pytest.raises(StorageError, match="Not a directory"), transactions.staging(ID):
             pass
 
     def test_a_read_only_root(self, root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -179,7 +179,7 @@ class TestRoot:
             raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(root))
 
         monkeypatch.setattr(os, "mkdir", refuse)
-        with pytest.raises(StorageError, match="Read-only file system"), minari_root.staging():
+        with pytest.raises(StorageError, match="Read-only file system"), transactions.staging():
             pass
 
     def test_a_namespace_on_another_file_system_is_told_before_the_work(self, root: Path) -> None:
@@ -188,11 +188,11 @@ class TestRoot:
             pytest.skip("no second file system here")
         root.mkdir()
         (root / "imujoco").symlink_to(elsewhere)
-        with pytest.raises(StorageError, match="another file system"), minari_root.staging(ID):
+        with pytest.raises(StorageError, match="another file system"), transactions.staging(ID):
             pass
 
     def test_errors_in_the_work_say_what_could_not_be_written(self, root: Path) -> None:
-        with pytest.raises(StorageError, match="No space left"), minari_root.staging():
+        with pytest.raises(StorageError, match="No space left"), transactions.staging():
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         assert not root.exists() or leftovers(root) == []
 
@@ -219,23 +219,23 @@ class TestTidying:
         folder = dead_folder(root)
         stage(folder, "half")
         (folder / "lock").unlink()
-        minari_root.tidy()
+        transactions.tidy()
         assert not folder.exists()
 
     def test_an_empty_folder_goes_too(self, root: Path) -> None:
         folder = dead_folder(root)
         (folder / "lock").unlink()
-        minari_root.tidy()
+        transactions.tidy()
         assert not folder.exists()
 
     def test_a_living_process_is_left_alone(self) -> None:
-        with minari_root.staging() as folder:
+        with transactions.staging() as folder:
             staged = stage(folder, "mine")
-            minari_root.tidy()
-            with minari_root.staging():
+            transactions.tidy()
+            with transactions.staging():
                 pass
             assert (staged / "data" / "metadata.json").exists()
-            minari_root.commit(staged, ID)
+            transactions.commit(staged, ID)
         assert listed() == {ID: "mine"}
 
     def test_without_locks_nothing_is_taken_for_dead(self, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -243,11 +243,11 @@ class TestTidying:
             raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
 
         monkeypatch.setattr(fcntl, "flock", refuse)
-        with minari_root.staging() as folder:
+        with transactions.staging() as folder:
             staged = stage(folder, "mine")
-            minari_root.tidy()
+            transactions.tidy()
             assert staged.exists()
-            minari_root.commit(staged, ID)
+            transactions.commit(staged, ID)
         assert listed() == {ID: "mine"}
 
 
@@ -256,7 +256,7 @@ class TestWithoutExchange:
 
     @pytest.fixture(autouse=True)
     def _no_exchange(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(minari_root, "exchange", lambda source, target: False)
+        monkeypatch.setattr(transactions, "exchange", lambda source, target: False)
 
     def test_replace(self, root: Path) -> None:
         put("old")
@@ -270,7 +270,7 @@ class TestWithoutExchange:
         stage(folder, "new")
         (folder / "replacement.json").write_text(json.dumps({"dataset_id": ID, "staged": "dataset"}))
         (root / ID).rename(folder / "replaced")
-        minari_root.tidy()
+        transactions.tidy()
         assert listed() == {ID: "new"}
         assert not folder.exists()
 
@@ -279,7 +279,7 @@ class TestWithoutExchange:
         folder = dead_folder(root)
         stage(folder, "new")
         (folder / "replacement.json").write_text(json.dumps({"dataset_id": ID, "staged": "dataset"}))
-        minari_root.tidy()
+        transactions.tidy()
         assert listed() == {ID: "old"}
         assert not folder.exists()
 
@@ -319,9 +319,9 @@ class TestWithoutExchange:
             with pytest.raises(StorageError, match="broken"):
                 put("new", replace=True)
         assert listed() == {}
-        minari_root.tidy()
+        transactions.tidy()
         assert listed() == {ID: "new"}
-        assert not (root / minari_root.STAGING).exists()
+        assert not (root / transactions.STAGING).exists()
 
 
 def test_a_staging_folder_that_goes_while_it_is_looked_at_is_made_again(root, monkeypatch):
@@ -329,13 +329,13 @@ def test_a_staging_folder_that_goes_while_it_is_looked_at_is_made_again(root, mo
 
     def gone(path, pattern):
         # As the last of the others removes it, between two calls of the operating system.
-        if path.name == minari_root.STAGING and path.exists():
+        if path.name == transactions.STAGING and path.exists():
             path.rmdir()
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
         return glob(path, pattern)
 
     monkeypatch.setattr(Path, "glob", gone)
-    with minari_root.staging() as folder:
+    with transactions.staging() as folder:
         assert folder.is_dir()
 
 
@@ -357,7 +357,7 @@ def test_a_published_dataset_has_the_modes_that_the_umask_says(
 
 
 def test_every_user_of_a_shared_root_may_stage(root: Path) -> None:
-    with minari_root.staging("imujoco/x-v0") as folder:
+    with transactions.staging("imujoco/x-v0") as folder:
         assert folder.parent.stat().st_mode & 0o7777 == 0o1777
         assert folder.stat().st_mode & 0o7777 == 0o700
     assert not folder.parent.exists()

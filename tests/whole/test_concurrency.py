@@ -10,7 +10,7 @@ from pathlib import Path
 import minari
 from minari import namespace
 
-from imujoco_minari.storage import minari_root
+from imujoco_minari.storage import transactions
 
 # Each worker commits to ids of its own and of all; readers list the root meanwhile.
 WORKERS = """
@@ -20,13 +20,13 @@ from imujoco_minari.storage import minari_root
 from imujoco_minari.errors import DatasetExistsError
 
 def put(dataset_id, mark, replace):
-    with minari_root.staging(dataset_id) as folder:
+    with transactions.staging(dataset_id) as folder:
         data = folder / "dataset" / "data"
         data.mkdir(parents=True)
         metadata = {"dataset_id": dataset_id, "mark": mark, "pad": "x" * 9000}
         (data / "metadata.json").write_text(json.dumps(metadata))
         (data / "twin.json").write_text(json.dumps(mark))
-        minari_root.commit(folder / "dataset", dataset_id, replace=replace)
+        transactions.commit(folder / "dataset", dataset_id, replace=replace)
 
 def write(worker, queue):
     rng, won = random.Random(worker), []
@@ -80,7 +80,7 @@ def test_many_writers_and_a_reader(root: Path) -> None:
     for name in namespace.list_local_namespaces():
         assert namespace.get_namespace_metadata(name) == {}
     assert result["lists"] > 0
-    assert not (root / minari_root.STAGING).exists()
+    assert not (root / transactions.STAGING).exists()
     assert not list(root.rglob(".*"))
 
 
@@ -96,4 +96,4 @@ def test_two_publishers_of_one_id(root: Path) -> None:
     assert sum(result["created"] for result in results) == 1
     assert len({result["content_sha256"] for result in results}) == 1
     assert set(minari.list_local_datasets()) == {"imujoco/hopper-base-random-v0"}
-    assert not (root / minari_root.STAGING).exists()
+    assert not (root / transactions.STAGING).exists()

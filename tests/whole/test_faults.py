@@ -27,7 +27,7 @@ from imujoco_minari.cli.app import run
 from imujoco_minari.errors import ImujocoError, StorageError
 from imujoco_minari.publishing.combiner import combine_datasets
 from imujoco_minari.publishing.publisher import publish
-from imujoco_minari.storage import minari_root
+from imujoco_minari.storage import transactions
 from imujoco_minari.storage.targets import new_target
 
 ID = "imujoco/hopper-base-v0"
@@ -59,16 +59,16 @@ def failing(at: int, code: int) -> Iterator[Faults]:
             patch.setattr(os, name, faults(getattr(os, name)))
         patch.setattr(io, "open", faults(io.open))
         patch.setattr(fcntl, "flock", faults(fcntl.flock))
-        patch.setattr(minari_root, "exchange", faults(minari_root.exchange))
+        patch.setattr(transactions, "exchange", faults(transactions.exchange))
         yield faults
 
 
 def put(mark: str, *, replace: bool = False) -> None:
-    with minari_root.staging(ID) as folder:
+    with transactions.staging(ID) as folder:
         staged = folder / "dataset"
         (staged / "data").mkdir(parents=True)
         (staged / "data" / "metadata.json").write_text(json.dumps({"dataset_id": ID, "mark": mark}))
-        minari_root.commit(staged, ID, replace=replace)
+        transactions.commit(staged, ID, replace=replace)
 
 
 def listed() -> dict[str, Any]:
@@ -81,7 +81,7 @@ def test_every_call_of_a_commit_that_fails(
     root: Path, code: int, there: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if there.endswith("no exchange"):
-        monkeypatch.setattr(minari_root, "exchange", lambda source, target: False)
+        monkeypatch.setattr(transactions, "exchange", lambda source, target: False)
     # The disk's own time is not what is tested, and most of what a commit takes.
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)
     at, ends = 0, set()
@@ -102,8 +102,8 @@ def test_every_call_of_a_commit_that_fails(
         assert end != "done" or listed() == {ID: "new"}, f"call {at}"
         put("again", replace=True)
         assert listed() == {ID: "again"}
-        minari_root.tidy()
-        assert not list((root / minari_root.STAGING).glob("*")), f"call {at} left something behind"
+        transactions.tidy()
+        assert not list((root / transactions.STAGING).glob("*")), f"call {at} left something behind"
         if faults.count < at:
             break
     assert at > 25
@@ -123,7 +123,7 @@ def test_every_call_of_an_export_that_fails(
     tmp_path: Path, code: int, exchange: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if not exchange:
-        monkeypatch.setattr(minari_root, "exchange", lambda source, target: False)
+        monkeypatch.setattr(transactions, "exchange", lambda source, target: False)
     at, target = 0, tmp_path / "exports" / "folder"
     while True:
         at += 1
@@ -156,7 +156,7 @@ def test_a_full_disk_while_publishing(step: str, root: Path, monkeypatch: pytest
     with pytest.raises(StorageError, match="No space left on device"):
         publish("hopper-base", tier="random", episodes=1)
     assert minari.list_local_datasets() == {}
-    assert not (root / minari_root.STAGING).exists()
+    assert not (root / transactions.STAGING).exists()
 
 
 def test_what_hdf5_says_of_a_full_disk_is_understood() -> None:
@@ -165,9 +165,9 @@ def test_what_hdf5_says_of_a_full_disk_is_understood() -> None:
         "Can't decrement id ref count (file write failed: time = Sat Nov 21 00:53:42 2026\n, filename = "
         "'x.hdf5', file descriptor = 5, errno = 28, error message = 'No space left on device', buf = 0x5)"
     )
-    with pytest.raises(StorageError, match="No space left on device"), minari_root.staging():
+    with pytest.raises(StorageError, match="No space left on device"), transactions.staging():
         raise RuntimeError(words)
-    with pytest.raises(RuntimeError, match="something else"), minari_root.staging():
+    with pytest.raises(RuntimeError, match="something else"), transactions.staging():
         raise RuntimeError("something else")
 
 
@@ -183,12 +183,12 @@ def test_a_small_disk(root: Path) -> None:
     assert done.returncode == 1, done.stderr
     assert "File too large" in done.stderr
     assert minari.list_local_datasets() == {}
-    assert not (root / minari_root.STAGING).exists()
+    assert not (root / transactions.STAGING).exists()
 
 
 KILLED_AT = {
     "rolling out": "imujoco_minari.publishing.publisher.complete_metadata",
-    "before the rename": "imujoco_minari.storage.minari_root.rename_new",
+    "before the rename": "imujoco_minari.storage.transactions.rename_new",
     "after the rename": "imujoco_minari.publishing.publisher._read_outcome",
 }
 
@@ -206,7 +206,7 @@ def test_killed_and_run_again_the_dataset_is_that_of_an_undisturbed_run(moment: 
     assert set(visible) == ({RANDOM_ID} if moment == "after the rename" else set())
     again = publish("hopper-base", tier="random", episodes=2)
     assert again.created == (not visible)
-    assert not (root / minari_root.STAGING).exists()
+    assert not (root / transactions.STAGING).exists()
     undisturbed = publish("hopper-base", tier="random", episodes=2, force=True)
     assert again.content_sha256 == undisturbed.content_sha256
 

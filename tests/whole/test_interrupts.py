@@ -21,7 +21,7 @@ from processes import running
 
 from imujoco_minari.errors import PolicyError
 from imujoco_minari.publishing.collector import collect
-from imujoco_minari.storage import minari_root, quiet_file
+from imujoco_minari.storage import quiet_file, transactions
 from imujoco_minari.variants import Variant
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for orphans in /proc")
@@ -52,8 +52,8 @@ def test_publish(jobs: str, whole_group: bool, root: Path) -> None:
     while running(process.pid) and time.monotonic() < end:
         time.sleep(0.05)
     assert running(process.pid) == []
-    minari_root.tidy()
-    assert not (root / minari_root.STAGING).exists()
+    transactions.tidy()
+    assert not (root / transactions.STAGING).exists()
     assert "Traceback" not in errors
     assert "Warning" not in errors
 
