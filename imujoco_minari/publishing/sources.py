@@ -63,7 +63,7 @@ class Source:
         """
         try:
             with h5py.File(self.file, "r") as file:
-                if self.folder != _device_and_inode(self.data) or self._stated_digest(
+                if self.folder != minari_root.folder_identity(self.data) or self._stated_digest(
                     file.attrs
                 ) != self._stated_digest(self.metadata):
                     raise DatasetError(
@@ -107,7 +107,7 @@ def open_source(dataset: MinariDataset | str) -> Source:
     else:
         raise DatasetError(f"a source must be a Minari dataset or its id, not {type(dataset).__name__}")
     try:
-        folder = _device_and_inode(data)
+        folder = minari_root.folder_identity(data)
     except OSError:
         raise DatasetNotFoundError(f"{dataset_id} was deleted: {data} does not exist") from None
     metadata = read_metadata(data)
@@ -152,11 +152,6 @@ def check_sources(sources: Sequence[Source]) -> None:
                     f"{first.dataset_id} and {source.dataset_id} cannot be combined: "
                     f"their {name.replace('_', ' ')}s differ, {ours} and {theirs}"
                 )
-
-
-def _device_and_inode(data: Path) -> tuple[int, int]:
-    state = data.stat()
-    return state.st_dev, state.st_ino
 
 
 def _read_space(dataset_id: str, metadata: dict[str, Any], key: str) -> gym.Space[Any]:

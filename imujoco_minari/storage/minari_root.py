@@ -66,6 +66,16 @@ def exists(dataset_id: str) -> bool:
     return True
 
 
+def folder_identity(folder: Path) -> tuple[int, int]:
+    """Return device and inode of a folder. They change when a dataset is replaced.
+
+    Raises:
+        OSError: if the folder does not exist.
+    """
+    state = folder.stat()
+    return state.st_dev, state.st_ino
+
+
 @contextmanager
 def storage_errors(place: Path | None = None) -> Iterator[None]:
     """Turn errors of files into a StorageError that names the file, or else ``place``."""

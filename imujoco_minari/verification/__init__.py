@@ -51,9 +51,31 @@ def verify(
         JobError: when the back end cannot be used.
     """
     folder = minari_root.dataset_folder(dataset_id)
-    if not folder.exists():
-        raise not_in_root(dataset_id)
-    data = folder / "data"
+    findings: list[Finding] = []
+    for _ in range(_ATTEMPTS):
+        try:
+            before = minari_root.folder_identity(folder)
+            findings = _check_dataset(dataset_id, folder / "data", replay, jobs, backend, on_episode)
+            if not findings or before == minari_root.folder_identity(folder):
+                break
+        except FileNotFoundError:
+            raise not_in_root(dataset_id) from None
+    return findings
+
+
+# A dataset that another process replaces while it is checked is checked again, this often at most.
+_ATTEMPTS = 3
+
+
+def _check_dataset(
+    dataset_id: str,
+    data: Path,
+    replay: bool,
+    jobs: int,
+    backend: str | None,
+    on_episode: Callable[[], None] | None,
+) -> list[Finding]:
+    """Check the dataset that lies in the folder ``data`` now."""
     checked = child_process.checked_apart(data, jobs if backend is None else 1)
     if isinstance(checked, Finding):
         # What killed or held the child was HDF5; the files' own digests need none.

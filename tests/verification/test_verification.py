@@ -22,7 +22,7 @@ from imujoco_minari.publishing.combiner import combine_datasets
 from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.storage.metadata import complete_metadata
-from imujoco_minari.verification import child_process, inspect, verify
+from imujoco_minari.verification import Finding, child_process, inspect, verify
 
 ID = "imujoco/hopper-base-random-v0"
 EPISODES = 3
@@ -498,3 +498,47 @@ class TestScreening:
             check=False,
         )
         assert done.returncode == 0, done.stdout + done.stderr
+
+
+class TestReplacedMeanwhile:
+    def test_a_dataset_that_is_replaced_while_it_is_checked_is_checked_again(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        publish("hopper-base", tier="random", episodes=2)
+        check, calls = child_process.checked_apart, []
+
+        def check_while_replaced(data: Path, jobs: int = 1) -> Any:
+            calls.append(data)
+            if len(calls) > 1:
+                return check(data, jobs)
+            publish("hopper-base", tier="random", episodes=3, force=True)
+            return Finding("metadata.json", "is of one version, and the file of another")
+
+        monkeypatch.setattr(child_process, "checked_apart", check_while_replaced)
+        assert verify("imujoco/hopper-base-random-v0") == []
+        assert len(calls) == 2
+
+    def test_a_damaged_dataset_is_checked_once(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        publish("hopper-base", tier="random", episodes=2)
+        calls = []
+
+        def damaged(data: Path, jobs: int = 1) -> Any:
+            calls.append(data)
+            return Finding("main_data.hdf5", "is damaged")
+
+        monkeypatch.setattr(child_process, "checked_apart", damaged)
+        assert [finding.what for finding in verify("imujoco/hopper-base-random-v0")] == ["is damaged"]
+        assert len(calls) == 1
+
+    def test_a_dataset_that_is_deleted_while_it_is_checked_is_missing(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        published = publish("hopper-base", tier="random", episodes=2)
+
+        def deleted(data: Path, jobs: int = 1) -> Any:
+            shutil.rmtree(published.path)
+            return Finding("main_data.hdf5", "is missing")
+
+        monkeypatch.setattr(child_process, "checked_apart", deleted)
+        with pytest.raises(DatasetNotFoundError, match="hopper-base-random-v0"):
+            verify("imujoco/hopper-base-random-v0")
