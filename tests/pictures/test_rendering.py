@@ -152,7 +152,7 @@ def test_an_episode_that_does_not_say_how_it_was_made_is_named() -> None:
         replay(published.dataset_id)
     with h5py.File(published.path / "data" / "main_data.hdf5", "a") as file:
         file["episode_0"].attrs["catalogue"] = "imujoco-original"
-    with pytest.raises(DatasetError, match="of the original's archive"):
+    with pytest.raises(DatasetError, match="from the original's archive"):
         replay(published.dataset_id)
 
 
@@ -425,7 +425,7 @@ def test_a_library_that_is_not_there_does_not_work() -> None:
 def test_the_backend_is_found_after_mujoco_was_imported(opengl: str, tmp_path: Path) -> None:
     """What MuJoCo settled on at its import does not matter; nor does a display that is not there."""
     code = (
-        "import sys, mujoco, imujoco_minari.envs.robots.robots\n"
+        "import sys, mujoco, imujoco_minari.envs.robots\n"
         "from imujoco_minari.cli.app import run\n"
         "import imujoco_minari.cli\n"
         "sys.exit(run('render hopper-base --tier random --size 64x64 --out'.split() + sys.argv[1:]))"

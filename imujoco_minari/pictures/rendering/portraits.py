@@ -1,4 +1,4 @@
-"""Variants standing still in one stance, so that they can be compared at a glance."""
+"""Portraits: pictures of variants that stand in the same stance, for comparison."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from imujoco_minari.pictures.rendering.framing import capsules, follow
 from imujoco_minari.pictures.rendering.studio import Studio
 from imujoco_minari.variants import Variant
 
-# Degrees of the joints that a stance bends; it spreads what the rest pose stacks.
+# Angles in degrees of the joints that a stance bends. In the rest pose the limbs hide each other.
 STANCES: Mapping[str, Mapping[str, float]] = MappingProxyType(
     {
         "hopper": {"rooty": -16.0, "thigh_joint": -14.0, "leg_joint": -34.0, "foot_joint": 32.0},
@@ -34,9 +34,9 @@ STANCES: Mapping[str, Mapping[str, float]] = MappingProxyType(
 
 
 def stance(variant: Variant) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """Return the positions of ``variant`` in its robot's stance, its lowest point on the floor.
+    """Return the positions (nq,) of a variant in its robot's stance, with its lowest point on the floor.
 
-    A joint whose range the variant narrows is bent as far as it goes.
+    Angles are clipped to the ranges of the variant's joints.
     """
     model = compile_mjcf(canonical_mjcf(variant))
     data = mujoco.MjData(model)
@@ -51,7 +51,7 @@ def stance(variant: Variant) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
 
 
 def portraits(variants: Sequence[Variant], studio: Studio) -> list[Image.Image]:
-    """Return a portrait of each variant, all seen from one distance."""
+    """Return a portrait of each variant. The cameras have the same distance."""
     positions = [stance(variant) for variant in variants]
     seen = [
         capsules(studio.model(variant), position[None])
@@ -65,7 +65,12 @@ def portraits(variants: Sequence[Variant], studio: Studio) -> list[Image.Image]:
 
 
 def poster(rows: Sequence[Sequence[Variant]], size: tuple[int, int]) -> Image.Image:
-    """Return one picture of rows of variants, each captioned, each row seen from a distance of its own."""
+    """Return one picture with rows of captioned variants. Each row has its own camera distance.
+
+    Args:
+        rows: rows of variants, each row of one robot.
+        size: width and height of a portrait, in pixels.
+    """
     with Studio(*size) as studio:
         cells = [
             captioned(picture, variant)

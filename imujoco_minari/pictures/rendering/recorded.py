@@ -1,8 +1,7 @@
-"""The motion of a recorded episode: replayed from its seed and actions, or read off its observations.
+"""The motion of a recorded episode: replayed from its seed and actions, or read from its observations.
 
-Most episodes are reset with their recorded seed and stepped by their recorded actions, as verification
-does. Data of others comes without seeds; its positions are in its observations, all but the distance
-run, which the recorded velocity adds up to.
+An episode with a seed is replayed as verification does. External data has no seeds. Its observations contain
+all positions except the travelled distance, which is the sum of the recorded velocities.
 """
 
 from __future__ import annotations
@@ -26,18 +25,18 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """One episode as a dataset has it.
+    """One recorded episode.
 
     Attributes:
-        dataset_id: the dataset.
-        number: of the episode in it.
-        variant: who moved.
-        tier: whose policy moved it.
-        seed: what reset the environment; None where it is not known.
-        observations: of shape (steps + 1, n).
-        actions: of shape (steps, m).
-        rewards: of shape (steps,).
-        terminated: whether the robot left its healthy range.
+        dataset_id: id of the dataset.
+        number: number of the episode in the dataset.
+        variant: the variant.
+        tier: tier of the policy.
+        seed: seed of the reset; None if unknown.
+        observations: observations of shape (steps + 1, n).
+        actions: actions of shape (steps, m).
+        rewards: rewards of shape (steps,).
+        terminated: whether the episode ended because the robot left its healthy range.
     """
 
     dataset_id: str
@@ -52,14 +51,14 @@ class Recorded:
 
     @property
     def title(self) -> str:
-        """What made it move, in a few words."""
+        """Tier and number of the episode, for a caption."""
         return f"{self.tier}, episode {self.number}"
 
     def motion(self) -> Motion:
-        """Return the episode as positions: replayed where its seed is known, else as observed."""
-        return self._observed() if self.seed is None else self._replayed()
+        """Return the positions of the episode: replayed if its seed is known, or else as observed."""
+        return self._from_observations() if self.seed is None else self._replay()
 
-    def _replayed(self) -> Motion:
+    def _replay(self) -> Motion:
         recorder = PositionRecorder(make(self.variant))
         try:
             observation, _ = recorder.reset(seed=self.seed)
@@ -73,32 +72,36 @@ class Recorded:
         finally:
             recorder.close()
 
-    def _observed(self) -> Motion:
+    def _from_observations(self) -> Motion:
         step = timestep(self.variant)
-        # An observation is all positions but the first, then as many velocities and one more.
-        others = (self.observations.shape[1] - 1) // 2
-        run = np.concatenate([[0.0], np.cumsum(self.observations[1:, others]) * step])
-        positions = np.column_stack([run, self.observations[:, :others]]).astype(np.float64)
+        # An observation consists of all positions except the first, then of all velocities.
+        position_count = (self.observations.shape[1] - 1) // 2
+        travelled = np.concatenate([[0.0], np.cumsum(self.observations[1:, position_count]) * step])
+        positions = np.column_stack([travelled, self.observations[:, :position_count]]).astype(np.float64)
         title = f"{self.title}, as observed"
         return Motion(self.variant, positions, self.rewards, step, self.terminated, title)
 
 
 def replay(dataset_id: str, episode: int = 0) -> Motion:
-    """Return a recorded episode of a dataset of this package, or of a collection of such.
+    """Return the motion of a recorded episode of a dataset of this package.
+
+    Args:
+        dataset_id: id of a dataset or a collection of the Minari root.
+        episode: number of the episode.
 
     Raises:
-        DatasetNotFoundError: when the root holds no such dataset, or it no such episode.
-        DatasetError: when the episode does not say how it was made.
+        DatasetNotFoundError: if there is no such dataset or episode.
+        DatasetError: if the episode cannot be read, or its variant is from the original's archive.
     """
     return read_recorded(dataset_id, episode).motion()
 
 
 def read_recorded(dataset_id: str, episode: int = 0) -> Recorded:
-    """Read one episode of a dataset.
+    """Read one episode of a dataset of the Minari root.
 
     Raises:
-        DatasetNotFoundError: when the root holds no such dataset, or it no such episode.
-        DatasetError: when the episode does not say how it was made.
+        DatasetNotFoundError: if there is no such dataset or episode.
+        DatasetError: if the episode cannot be read, or its variant is from the original's archive.
     """
     path = file_format.main_file(minari_root.dataset_folder(dataset_id) / "data")
     if not path.is_file():
@@ -111,17 +114,17 @@ def read_recorded(dataset_id: str, episode: int = 0) -> Recorded:
                 raise DatasetNotFoundError(
                     f"{dataset_id} has no episode {episode}; valid: 0 to {len(file) - 1}"
                 )
-            return _read(file[f"episode_{episode}"], dataset_id, episode)
+            return _parse_episode(file[f"episode_{episode}"], dataset_id, episode)
     except (OSError, KeyError, IndexError) as error:
         if isinstance(error, DatasetNotFoundError):
             raise
         raise DatasetError(f"{dataset_id}: episode {episode} cannot be read: {error}") from None
 
 
-def _read(group: h5py.Group, dataset_id: str, number: int) -> Recorded:
+def _parse_episode(group: h5py.Group, dataset_id: str, number: int) -> Recorded:
     if is_original(group.attrs):
         raise DatasetError(
-            f"{dataset_id}: its variant is of the original's archive, whose models are not drawn"
+            f"{dataset_id}: its variant is from the original's archive, whose models cannot be drawn"
         )
     replayable = bool(group.attrs.get(file_format.REPLAYABLE, True))
     return Recorded(
