@@ -65,7 +65,7 @@ def test_medium_expert_is_half_and_half() -> None:
         (rung(200), 5, {"rung": 200, "part": "medium"}),
         (scaled(1.0).sha256, 5, {"part": "expert"}),
     ]
-    with pytest.raises(DatasetError, match="2 equal parts, and 7 episodes are not"):
+    with pytest.raises(DatasetError, match="2 equal parts: 7 episodes are not a multiple of 2"):
         made("medium-expert", 7)
 
 
