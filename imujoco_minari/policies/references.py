@@ -1,6 +1,6 @@
-"""Reference scores: what a random policy and the shipped expert make on a variant.
+"""Reference scores: the returns of a random policy and of the expert on a variant.
 
-Minari normalises a return between the two (``minari.get_normalized_score``).
+``minari.get_normalized_score`` maps the first to 0 and the second to 1.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ EPISODES = 100
 
 
 def reference_scores(variant: Variant) -> dict[str, Any]:
-    """Return ``ref_min_score`` and, where an expert is shipped, ``ref_max_score`` of a variant.
+    """Return the reference scores of a variant as metadata, with the evaluations that they come from.
 
-    With them come the evaluations behind them. A variant without a record has its random policy
-    measured here, which takes seconds.
+    ``ref_max_score`` is missing if the variant has no expert. If it has no record, the random policy is
+    evaluated now, which takes seconds.
     """
     record = expert_record(variant)
     random = record.get("random") or random_evaluation(variant).asdict()
@@ -37,7 +37,7 @@ def reference_scores(variant: Variant) -> dict[str, Any]:
 
 @lru_cache(maxsize=256)
 def random_evaluation(variant: Variant) -> Evaluation:
-    """Roll the random policy out for 100 episodes of ``variant`` and return what it scores."""
+    """Evaluate the random policy for 100 episodes of a variant."""
     env = make(variant)
     try:
         return evaluate(env, RandomPolicy(specification(variant.robot).action_size), episodes=EPISODES)

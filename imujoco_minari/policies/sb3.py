@@ -1,4 +1,4 @@
-"""An actor as a Stable-Baselines3 zip, for those who work with ``SAC.load`` and ``SAC.predict``."""
+"""Exports an actor as a Stable-Baselines3 zip for ``SAC.load`` and ``SAC.predict``."""
 
 from __future__ import annotations
 
@@ -12,21 +12,25 @@ from imujoco_minari.variants import Variant
 
 
 def export_zip(variant: Variant, path: Path, actor: Actor | None = None, *, force: bool = False) -> Path:
-    """Write an actor as a zip that ``stable_baselines3.SAC.load`` opens, and return its path.
+    """Write an actor as a zip that ``stable_baselines3.SAC.load`` reads, and return its path.
 
-    The critics in it are new and untrained: only actors are shipped.
+    The critics in it are new and untrained, because only actors are shipped.
 
     Args:
         variant: the variant whose spaces the zip states.
-        path: the zip to write; ``.zip`` is added where it is missing.
-        actor: the actor; None takes the variant's expert.
-        force: replace a zip that this function wrote before; nothing else is replaced.
+        path: the zip to write. ``.zip`` is added if it is missing.
+        actor: the actor; None for the variant's expert.
+        force: replace a zip that this function wrote before. No other file is replaced.
 
     Raises:
-        DatasetExistsError: when ``path`` is there already, and ``force`` is false or does not apply.
-        PolicyNotFoundError: when there is no expert for the variant.
-        PolicyError: when the actor does not fit the variant's robot.
-        StorageError: when the file cannot be written.
+        DatasetExistsError: if ``path`` exists, and ``force`` is false or the file is not an export.
+        PolicyNotFoundError: if the variant has no expert.
+        PolicyError: if the actor does not fit the variant's robot.
+        StorageError: if the file cannot be written.
+
+    Example:
+        >>> export_zip(Variant.parse("hopper-base"), Path("hopper.zip"))
+        PosixPath('hopper.zip')
     """
     import torch
     from stable_baselines3 import SAC
@@ -39,7 +43,7 @@ def export_zip(variant: Variant, path: Path, actor: Actor | None = None, *, forc
         for i in range(sum(name.startswith("latent_pi") for name in actor.weights) // 2)
     ]
     env = make(variant)
-    # One transition is the least that a buffer holds; the exported agent brings none.
+    # The smallest buffer: the exported agent has no transitions.
     model = SAC(
         "MlpPolicy", env, buffer_size=1, policy_kwargs={"net_arch": widths, "activation_fn": activation}
     )
@@ -47,7 +51,7 @@ def export_zip(variant: Variant, path: Path, actor: Actor | None = None, *, forc
     try:
         model.actor.load_state_dict(state, strict=True)
     except RuntimeError as error:
-        raise PolicyError(f"the actor does not fit SAC's: {error}") from None
+        raise PolicyError(f"the actor does not fit SAC's network: {error}") from None
     path = path if path.suffix == ".zip" else path.with_suffix(path.suffix + ".zip")
     try:
         with new_target(path, force=force) as staged:

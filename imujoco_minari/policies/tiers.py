@@ -114,12 +114,12 @@ def ladder(variant: Variant) -> Sequence[Mapping[str, Any]]:
         raise PolicyNotFoundError(
             f"no ladder of policies exists for {variant}: `imujoco train {variant}` measures one"
         )
-    return sorted(rungs, key=_return)
+    return sorted(rungs, key=_mean_return)
 
 
 def medium_rung(rungs: Sequence[Mapping[str, Any]], expert_return: float) -> Mapping[str, Any]:
     """Return the rung whose return is nearest to 0.42 of the expert's."""
-    return min(rungs, key=lambda rung: abs(_return(rung) - MEDIUM_SHARE * expert_return))
+    return min(rungs, key=lambda rung: abs(_mean_return(rung) - MEDIUM_SHARE * expert_return))
 
 
 def rung_file(variant: Variant, steps: int) -> str:
@@ -154,7 +154,7 @@ def _expert(variant: Variant, deterministic: bool) -> list[_Maker]:
 def _medium(variant: Variant, deterministic: bool) -> list[_Maker]:
     rungs = ladder(variant)
     rung = medium_rung(rungs, expert_record(variant)["evaluation"]["return_mean"])
-    return [(_rung(variant, rung, deterministic), {"rung": int(rung["steps"])})]
+    return [(_read_rung(variant, rung, deterministic), {"rung": int(rung["steps"])})]
 
 
 def _random(variant: Variant, deterministic: bool) -> list[_Maker]:
@@ -171,7 +171,7 @@ def _ranked(variant: Variant, deterministic: bool) -> list[_Maker]:
     """Return the expert and the rungs whose returns are spread most evenly below it, the best first."""
     rungs = ladder(variant)
     expert_return = expert_record(variant)["evaluation"]["return_mean"]
-    below = [rung for rung in rungs if _return(rung) < expert_return]
+    below = [rung for rung in rungs if _mean_return(rung) < expert_return]
     if len(below) < RANKS - 1:
         raise PolicyNotFoundError(
             f"{variant} has {len(below)} rungs below its expert; the tier {RANKED} needs {RANKS - 1}"
@@ -179,13 +179,13 @@ def _ranked(variant: Variant, deterministic: bool) -> list[_Maker]:
     chosen: list[Mapping[str, Any]] = []
     for rank in range(1, RANKS):
         wanted = expert_return * (1 - rank / RANKS)
-        chosen.append(min((r for r in below if r not in chosen), key=lambda r: abs(_return(r) - wanted)))
-    chosen.sort(key=_return, reverse=True)
+        chosen.append(min((r for r in below if r not in chosen), key=lambda r: abs(_mean_return(r) - wanted)))
+    chosen.sort(key=_mean_return, reverse=True)
     expert = expert_actor(variant, deterministic=deterministic)
     ranked: list[_Maker] = [(expert, {"rank": 0, "policy_return": expert_return})]
     for rank, rung in enumerate(chosen, start=1):
-        attributes = {"rank": rank, "policy_return": _return(rung), "rung": int(rung["steps"])}
-        ranked.append((_rung(variant, rung, deterministic), attributes))
+        attributes = {"rank": rank, "policy_return": _mean_return(rung), "rung": int(rung["steps"])}
+        ranked.append((_read_rung(variant, rung, deterministic), attributes))
     return ranked
 
 
@@ -199,7 +199,7 @@ _MAKERS: dict[str, Callable[[Variant, bool], list[_Maker]]] = {
 _ONE_POLICY = (EXPERT, MEDIUM, RANDOM)
 
 
-def _rung(variant: Variant, rung: Mapping[str, Any], deterministic: bool) -> Actor:
+def _read_rung(variant: Variant, rung: Mapping[str, Any], deterministic: bool) -> Actor:
     name = rung_file(variant, rung["steps"])
     path = find_policy_file(name)
     if path is None:
@@ -208,5 +208,5 @@ def _rung(variant: Variant, rung: Mapping[str, Any], deterministic: bool) -> Act
     return read_actor(path, deterministic=deterministic, algorithm=algorithm)
 
 
-def _return(rung: Mapping[str, Any]) -> float:
+def _mean_return(rung: Mapping[str, Any]) -> float:
     return float(rung["evaluation"]["return_mean"])

@@ -1,7 +1,7 @@
-"""How policies fare on variants that they were not made for: every policy on every variant, evaluated.
+"""The transfer of policies to other variants: evaluates every policy on every variant.
 
-Each result is written to a state file as it comes, so that a run that is broken off goes on; a policy,
-a model or a setting that has changed is evaluated anew. The policies may be any mapping of names.
+Each result is written to a state file at once, so an interrupted run continues where it stopped. If a policy,
+a model or a setting has changed, its results are computed again.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class Transfer:
-    """The evaluations of policies on variants.
+    """The evaluations of policies on variants, as a matrix.
 
     Attributes:
-        policies: their names, the matrix' rows.
-        variants: its columns.
-        cells: (policy, variant) to evaluation; all of them.
+        policies: names of the policies, the rows.
+        variants: the variants, the columns.
+        cells: maps every pair (policy, variant) to its evaluation.
     """
 
     policies: tuple[str, ...]
@@ -52,7 +52,7 @@ class Transfer:
     cells: Mapping[tuple[str, Variant], Evaluation]
 
     def returns(self) -> list[list[float]]:
-        """Return the mean returns, a list a policy."""
+        """Return the mean undiscounted returns, one list per policy."""
         return [
             [self.cells[policy, variant].return_mean for variant in self.variants] for policy in self.policies
         ]
@@ -67,32 +67,36 @@ class _Cell:
     seed: int
 
     def key(self) -> str:
-        """Return what decides the result, and is compared with what the state file says."""
+        """Return everything that decides the result as text. The state file stores it with the result."""
         model = mjcf_sha256(canonical_mjcf(self.variant))
         return f"{self.policy.sha256} {self.policy.deterministic} {model} {self.episodes} {self.seed}"
 
 
 def expert_policies(robot: str, category: str | None = None) -> dict[str, Policy]:
-    """Return the expert policies that there are of a robot, its base's first, by the names of their variants.
+    """Return the expert policies of a robot by the ids of their variants, the base's first.
+
+    Args:
+        robot: name of the robot.
+        category: return the base's policy and those of this category only.
 
     Raises:
-        PolicyNotFoundError: when there is none.
+        PolicyNotFoundError: if trained are none.
     """
-    there = set(expert_variants())
-    chosen = [variant for variant in columns(robot, category) if variant in there]
+    trained = set(expert_variants())
+    chosen = [variant for variant in columns(robot, category) if variant in trained]
     if not chosen:
         raise PolicyNotFoundError(
-            f"there is no expert policy of {robot}{f' for {category}' if category else ''}: train some with "
+            f"no expert policy of {robot}{f' for {category}' if category else ''}: train some with "
             "`imujoco train`, or give some with --policy FILE"
         )
     return {str(variant): expert_actor(variant) for variant in chosen}
 
 
 def columns(robot: str, category: str | None = None) -> tuple[Variant, ...]:
-    """Return the variants that policies of a robot are evaluated on: its base, then the catalogue's.
+    """Return the variants to evaluate a robot's policies on: its base, then those of the catalogue.
 
     Raises:
-        VariantError: when there is no such robot or category.
+        VariantError: if trained is no such robot or category.
     """
     return (Variant(robot, BASE, 0, ""), *catalogue(robot, category))
 
@@ -110,23 +114,23 @@ def evaluate_transfer(
     """Evaluate every policy on every variant.
 
     Args:
-        policies: by name.
-        variants: of one robot.
-        state: file that keeps the results; one of an earlier run is gone on with.
-        episodes: a cell.
-        seed: base seed of the episodes, the same for every cell.
-        jobs: how many processes.
-        on_cell: called after each cell, those of an earlier run included.
+        policies: maps names to policies.
+        variants: variants of one robot.
+        state: JSON file of the results. The results of an earlier run are reused.
+        episodes: number of episodes per pair of policy and variant.
+        seed: base seed of the episodes, the same for every pair.
+        jobs: number of processes.
+        on_cell: called after each pair, including those of an earlier run.
 
     Raises:
-        PolicyError: when a policy does not fit the robot.
-        TransferError: when the state file is none, or a cell was lost with its process.
-        StorageError: when the state file cannot be written.
+        PolicyError: if a policy does not fit the robot.
+        TransferError: if the state file has another format, or a process was lost.
+        StorageError: if the state file cannot be written.
     """
     for policy in policies.values():
         for robot in {variant.robot for variant in variants}:
-            _check(policy, robot)
-    known = _read(state)
+            _check_fits_robot(policy, robot)
+    known = _read_state(state)
     wanted = [
         _Cell(name, policy, variant, episodes, seed)
         for name, policy in policies.items()
@@ -142,7 +146,7 @@ def evaluate_transfer(
                 on_cell()
         else:
             missing.append(cell)
-    for number, result in run_jobs(_evaluate, missing, jobs=jobs):
+    for number, result in run_jobs(_evaluate_cell, missing, jobs=jobs):
         cell = missing[number]
         if isinstance(result, JobError):
             raise TransferError(f"{cell.policy_name} on {cell.variant}: {result}")
@@ -156,10 +160,10 @@ def evaluate_transfer(
 
 
 def write_csv(transfer: Transfer, path: Path) -> None:
-    """Write the numbers of a transfer, a line a policy and variant.
+    """Write a transfer as CSV, one line for each pair of policy and variant.
 
     Raises:
-        StorageError: when the file cannot be written.
+        StorageError: if the file cannot be written.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -172,7 +176,7 @@ def write_csv(transfer: Transfer, path: Path) -> None:
     write_text(path, text.getvalue())
 
 
-def _evaluate(cell: _Cell) -> Evaluation:
+def _evaluate_cell(cell: _Cell) -> Evaluation:
     env = make(cell.variant)
     try:
         return evaluate(env, cell.policy, episodes=cell.episodes, seed=cell.seed)
@@ -180,12 +184,12 @@ def _evaluate(cell: _Cell) -> Evaluation:
         env.close()
 
 
-def _check(policy: Any, robot: str) -> None:
+def _check_fits_robot(policy: Any, robot: str) -> None:
     if hasattr(policy, "check"):
         policy.check(robot)
 
 
-def _read(state: Path) -> dict[str, dict[str, Any]]:
+def _read_state(state: Path) -> dict[str, dict[str, Any]]:
     if not state.exists():
         return {}
     try:

@@ -1,1 +1,1 @@
-"""How fast the package is beside what people use today; run by ``scripts/bench``."""
+"""Speed benchmarks of the package against the stock libraries. ``scripts/bench`` runs them."""

@@ -17,34 +17,36 @@ ROWS = ("collect", "jobs", "combine", "load", "sample", "verify", "start", "publ
 
 
 def main() -> None:
-    """Parse the arguments and run."""
+    """Parse the arguments and run the benchmarks."""
     parser = argparse.ArgumentParser(prog="scripts/bench", description=__doc__)
-    parser.add_argument("rows", nargs="*", help=f"of: {', '.join(ROWS)}; train only when named")
+    parser.add_argument("rows", nargs="*", help=f"rows to run: {', '.join(ROWS)}; default: all except train")
     parser.add_argument(
-        "--policies", type=Path, help="folder of <robot>.safetensors; else the shipped experts"
+        "--policies", type=Path, help="folder of <robot>.safetensors; default: the shipped experts"
     )
-    parser.add_argument("--rounds", type=int, default=5, help="turns that each contender takes")
-    parser.add_argument("--scale", type=float, default=1.0, help="share of the work; 0.1 is for trying it")
-    parser.add_argument("--output", type=Path, default=Path("benchmark.json"), help="JSON of the figures")
+    parser.add_argument("--rounds", type=int, default=5, help="number of runs of each contender")
+    parser.add_argument("--scale", type=float, default=1.0, help="share of the work; 0.1 for a quick try")
     parser.add_argument(
-        "--cpu", action="store_true", help="count processor time where one process works, for a busy machine"
+        "--output", type=Path, default=Path("benchmark.json"), help="JSON file of the figures"
+    )
+    parser.add_argument(
+        "--cpu", action="store_true", help="measure processor time of single-process rows, for a busy machine"
     )
     options = parser.parse_args()
     if options.cpu:
         os.environ["BENCH_CLOCK"] = "cpu"
     unknown = set(options.rows) - set(ROWS)
     if unknown:
-        parser.error(f"no row {unknown.pop()!r}; valid: {', '.join(ROWS)}")
+        parser.error(f"unknown row {unknown.pop()!r}; valid: {', '.join(ROWS)}")
     with tempfile.TemporaryDirectory() as folder:
         os.environ["MINARI_DATASETS_PATH"] = str(Path(folder) / "root")
-        rows = _run(set(options.rows) or set(ROWS) - {"train"}, options)
+        rows = _run_rows(set(options.rows) or set(ROWS) - {"train"}, options)
     from scripts.speed.measuring import table
 
     print("\n" + table(rows))
     print(f"\nfigures written to {options.output}")
 
 
-def _run(wanted: set[str], options: argparse.Namespace) -> list:
+def _run_rows(wanted: set[str], options: argparse.Namespace) -> list:
     from imujoco_minari.policies import policies_folder
     from imujoco_minari.variants import ROBOTS, Variant
     from scripts.speed import collecting, datasets, starting, training
@@ -56,14 +58,14 @@ def _run(wanted: set[str], options: argparse.Namespace) -> list:
     scale, rounds, policies = options.scale, options.rounds, options.policies
     rows = []
 
-    def done(*new) -> None:
+    def add_rows(*new) -> None:
         rows.extend(new)
         for row in new:
             ratios = ", ".join(f"{name} {value:.3g}" for name, value in row.ratios.items())
             print(f"{time.strftime('%X')} {row.work}: {ratios}", file=sys.stderr, flush=True)
-        # After each row, so that one that fails does not cost the others.
+        # Written after each row, so a failing row does not lose the others.
         figures = {
-            "machine": _machine(),
+            "machine": _describe_machine(),
             "clock": "cpu" if options.cpu else "wall",
             "rounds": rounds,
             "rows": list(map(asdict, rows)),
@@ -72,34 +74,34 @@ def _run(wanted: set[str], options: argparse.Namespace) -> list:
 
     if wanted & {"collect", "publish"}:
         for robot in ROBOTS:
-            done(collecting.collection_row(robot, policies, rounds, int(20_000 * scale)))
+            add_rows(collecting.collection_row(robot, policies, rounds, int(20_000 * scale)))
     if wanted & {"jobs", "publish"}:
-        done(collecting.jobs_row(policies, max(1, rounds // 2), max(2, int(20 * scale))))
+        add_rows(collecting.jobs_row(policies, max(1, rounds // 2), max(2, int(20 * scale))))
     if "publish" in wanted:
         collections = dict(zip(ROBOTS, rows[:3], strict=True))
         scaling = rows[3].ratios["times one process"]
-        done(collecting.publishing_row(policies, max(5, int(50 * scale)), scaling, collections))
+        add_rows(collecting.publishing_row(policies, max(5, int(50 * scale)), scaling, collections))
     if wanted & {"combine", "load", "sample"}:
         actor, _ = actor_of("halfcheetah", policies)
         with tempfile.TemporaryDirectory() as folder:
             policy = save_actor(actor, Path(folder) / "actor.safetensors")
             ids = publish_copies(Variant.parse("halfcheetah-base"), policy, int(100 * scale), 20)
         if "combine" in wanted:
-            done(datasets.combining_row(ids, rounds))
+            add_rows(datasets.combining_row(ids, rounds))
         if "load" in wanted:
-            done(datasets.loading_row(ids, rounds))
+            add_rows(datasets.loading_row(ids, rounds))
         if "sample" in wanted:
-            done(*datasets.sampling_rows(ids, rounds))
+            add_rows(*datasets.sampling_rows(ids, rounds))
     if "verify" in wanted:
-        done(collecting.verification_row(policies, rounds, int(200 * scale), collecting.cores()))
+        add_rows(collecting.verification_row(policies, rounds, int(200 * scale), collecting.cores()))
     if "start" in wanted:
-        done(*starting.starting_rows(max(3, 2 * rounds)))
+        add_rows(*starting.starting_rows(max(3, 2 * rounds)))
     if "train" in wanted:
-        done(training.training_row(120.0 * scale))
+        add_rows(training.training_row(120.0 * scale))
     return rows
 
 
-def _machine() -> dict:
+def _describe_machine() -> dict:
     names = ("imujoco-minari", "mujoco", "gymnasium", "minari", "numpy", "h5py", "stable-baselines3", "torch")
     return {
         "processor": platform.processor() or platform.machine(),

@@ -1,4 +1,4 @@
-"""Collection, publishing by several processes, and replay, beside bare stepping."""
+"""Benchmarks of collecting, of publishing with several processes and of verification."""
 
 from __future__ import annotations
 
@@ -31,33 +31,33 @@ from imujoco_minari.verification import verify
 from scripts.speed.measuring import LIMIT, OURS, STOCK, Row, rates, ratio, take_turns
 from scripts.speed.subjects import UNTRAINED, actor_of, save_actor
 
-# What collection is to reach: times the stock way, and share of the bare stepping rate.
+# Targets of collecting: the speed relative to the stock collector and to bare stepping.
 TARGETS = {"halfcheetah": (4.0, 0.75), "hopper": (2.2, 0.85), "walker2d": (2.2, 0.85)}
 
 
 def collection_row(robot: str, policies: Path | None, rounds: int, steps: int) -> Row:
-    """Policy, environment, collector and dataset, against the loop of Farama's generation scripts."""
+    """Measure collecting a dataset against the loop of Farama's generation scripts and bare stepping."""
     from stable_baselines3 import SAC
 
     actor, origin = actor_of(robot, policies)
     variant = Variant.parse(f"{robot}-base")
     with tempfile.TemporaryDirectory() as folder:
         model = SAC.load(export_zip(variant, Path(folder) / "actor.zip", actor), device="cpu")
-        length = _record(variant, actor, 2, Path(folder) / "probe") / 2
+        length = _collect(variant, actor, 2, Path(folder) / "probe") / 2
         episodes = max(2, round(steps / length))
-        total = _record(variant, actor, episodes, Path(folder) / "ours")
-        bare = _bare_stepping(Path(folder) / "ours", make(variant))
-        plain = _bare_stepping(Path(folder) / "ours", gym.make(specification(robot).environment))
+        total = _collect(variant, actor, episodes, Path(folder) / "ours")
+        bare = _bare_stepping_loop(Path(folder) / "ours", make(variant))
+        plain = _bare_stepping_loop(Path(folder) / "ours", gym.make(specification(robot).environment))
         seconds = take_turns(
             {
-                OURS: lambda: _record(variant, actor, episodes, Path(folder) / "ours"),
-                STOCK: lambda: _record_stock(specification(robot).environment, model, episodes),
+                OURS: lambda: _collect(variant, actor, episodes, Path(folder) / "ours"),
+                STOCK: lambda: _collect_stock(specification(robot).environment, model, episodes),
                 LIMIT: bare,
                 "gymnasium's own environment": plain,
             },
             rounds,
         )
-    # The stock loop's episodes differ from ours by rounding, and in number of steps where they end early.
+    # The stock loop's episodes differ by rounding, so their numbers of steps may differ too.
     stock_steps = minari.load_dataset("bench/stock-v0").total_steps
     figures = rates(seconds, total) | {STOCK: rates(seconds, stock_steps)[STOCK]}
     minari.delete_dataset("bench/stock-v0")
@@ -71,17 +71,17 @@ def collection_row(robot: str, policies: Path | None, rounds: int, steps: int) -
             "of bare stepping": ratio(seconds[LIMIT], seconds[OURS]),
         },
         {"times stock": ("least", times_stock), "of bare stepping": ("least", share)},
-        f"{origin}, {total / episodes:.0f} steps an episode; stock is SAC.predict and minari.DataCollector",
+        f"{origin}, {total / episodes:.0f} steps per episode; stock is SAC.predict and minari.DataCollector",
     )
 
 
-def _record(variant: Variant, actor: Actor, episodes: int, target: Path) -> int:
+def _collect(variant: Variant, actor: Actor, episodes: int, target: Path) -> int:
     shutil.rmtree(target, ignore_errors=True)
     collect(variant, actor, range(episodes), 0, target)
     return int(MinariStorage.read(target).total_steps)
 
 
-def _record_stock(environment: str, model: Any, episodes: int) -> None:
+def _collect_stock(environment: str, model: Any, episodes: int) -> None:
     if minari_root.exists("bench/stock-v0"):
         minari.delete_dataset("bench/stock-v0")
     collector = minari.DataCollector(gym.make(environment))
@@ -98,8 +98,8 @@ def _record_stock(environment: str, model: Any, episodes: int) -> None:
     collector.env.close()
 
 
-def _bare_stepping(data: Path, env: gym.Env[Any, Any]) -> Callable[[], None]:
-    """Return what steps an environment through the recorded actions and does nothing else."""
+def _bare_stepping_loop(data: Path, env: gym.Env[Any, Any]) -> Callable[[], None]:
+    """Return a function that steps an environment through the recorded actions and does nothing else."""
     recorded = []
     with h5py.File(file_format.main_file(data), "r") as file:
         for number in range(len(file)):
@@ -116,7 +116,7 @@ def _bare_stepping(data: Path, env: gym.Env[Any, Any]) -> Callable[[], None]:
 
 
 def jobs_row(policies: Path | None, rounds: int, episodes: int) -> Row:
-    """Publishing by two processes against one, beside what two processes that only step can do."""
+    """Measure publishing with two processes against one, and bare stepping with two against one."""
     actor, origin = actor_of("halfcheetah", policies)
     with tempfile.TemporaryDirectory() as folder:
         policy = save_actor(actor, Path(folder) / "actor.safetensors")
@@ -130,7 +130,7 @@ def jobs_row(policies: Path | None, rounds: int, episodes: int) -> Row:
 
         work(1)
         data = minari_root.dataset_folder(recipes[0].dataset_id) / "data"
-        with _bare_processes(data, 1) as bare, _bare_processes(data, 2) as bare_twice:
+        with _start_bare_processes(data, 1) as bare, _start_bare_processes(data, 2) as bare_twice:
             seconds = take_turns(
                 {
                     "one process": lambda: work(1),
@@ -153,16 +153,16 @@ def jobs_row(policies: Path | None, rounds: int, episodes: int) -> Row:
             * ratio(seconds["bare, one process"], seconds["bare, two processes"]),
         },
         {"times one process": ("least", 1.85)},
-        f"{origin}; starting the processes, digests and checks are in it",
+        f"{origin}; the start of the processes, digests and checks are included",
     )
 
 
-_BARE = """
+_BARE_SCRIPT = """
 import sys
 from pathlib import Path
-from scripts.speed.collecting import _bare_stepping
+from scripts.speed.collecting import _bare_stepping_loop
 from imujoco_minari.envs.registration import make
-run = _bare_stepping(Path(sys.argv[1]), make("halfcheetah-base"))
+run = _bare_stepping_loop(Path(sys.argv[1]), make("halfcheetah-base"))
 print("ready", flush=True)
 for _ in sys.stdin:
     run()
@@ -171,16 +171,19 @@ for _ in sys.stdin:
 
 
 @contextmanager
-def _bare_processes(data: Path, count: int) -> Iterator[Callable[[], None]]:
-    """Yield what has ``count`` processes, all started before, each step through the whole dataset."""
+def _start_bare_processes(data: Path, count: int) -> Iterator[Callable[[], None]]:
+    """Yield a function that makes each of ``count`` running processes step through the whole dataset."""
     started = [
         subprocess.Popen(
-            [sys.executable, "-c", _BARE, str(data)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            [sys.executable, "-c", _BARE_SCRIPT, str(data)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
         )
         for _ in range(count)
     ]
 
-    def hear(word: str) -> None:
+    def wait_for(word: str) -> None:
         for process in started:
             assert process.stdout is not None
             assert process.stdout.readline() == f"{word}\n"
@@ -190,10 +193,10 @@ def _bare_processes(data: Path, count: int) -> Iterator[Callable[[], None]]:
             assert process.stdin is not None
             process.stdin.write("\n")
             process.stdin.flush()
-        hear("done")
+        wait_for("done")
 
     try:
-        hear("ready")
+        wait_for("ready")
         yield run
     finally:
         for process in started:
@@ -201,7 +204,7 @@ def _bare_processes(data: Path, count: int) -> Iterator[Callable[[], None]]:
 
 
 def verification_row(policies: Path | None, rounds: int, episodes: int, cores: int) -> Row:
-    """The whole check of a dataset on all cores, against bare stepping on all of them."""
+    """Measure the complete check of a dataset on all cores against bare stepping on all cores."""
     actor, origin = actor_of("halfcheetah", policies)
     with tempfile.TemporaryDirectory() as folder:
         policy = save_actor(actor, Path(folder) / "actor.safetensors")
@@ -214,7 +217,7 @@ def verification_row(policies: Path | None, rounds: int, episodes: int, cores: i
 
     assert published.path is not None
     data = published.path / "data"
-    with _bare_processes(data, 1) as bare, _bare_processes(data, cores) as bare_everywhere:
+    with _start_bare_processes(data, 1) as bare, _start_bare_processes(data, cores) as bare_everywhere:
         seconds = take_turns(
             {
                 "one core": lambda: check(1),
@@ -228,7 +231,7 @@ def verification_row(policies: Path | None, rounds: int, episodes: int, cores: i
     # Each process steps through the whole dataset.
     seconds["bare, all cores"] = [value / cores for value in seconds["bare, all cores"]]
     return Row(
-        f"verify {episodes} episodes of halfcheetah, replay and all",
+        f"verify {episodes} episodes of halfcheetah, including the replay",
         rates(seconds, published.steps),
         "steps/s",
         {
@@ -242,13 +245,13 @@ def verification_row(policies: Path | None, rounds: int, episodes: int, cores: i
 
 
 def publishing_row(policies: Path | None, episodes: int, scaling: float, collections: dict[str, Row]) -> Row:
-    """The whole catalogue of 154 x 100 episodes, extrapolated from some variants of each robot.
+    """Extrapolate publishing the whole catalogue, 154 x 100 episodes, from some variants of each robot.
 
     Args:
-        policies: folder of policies.
-        episodes: episodes a dataset in the sample.
-        scaling: how much faster two processes are than one.
-        collections: robot to its row of collection.
+        policies: folder of policies; None for the shipped experts.
+        episodes: number of episodes per dataset in the sample.
+        scaling: the speed of two processes relative to one.
+        collections: maps each robot to its row of collecting.
     """
     ours = stock = 0.0
     rates = []
@@ -256,28 +259,28 @@ def publishing_row(policies: Path | None, episodes: int, scaling: float, collect
         actor, origin = actor_of(robot, policies)
         figures = collections[robot].figures
         if origin == UNTRAINED:
-            # Its episodes are too short to tell what full ones take; the other robots' share is assumed.
+            # Its episodes are too short for an estimate of full ones, so the other robots' share is assumed.
             rate, origin = 0.75 * figures[LIMIT], "estimated at 75 % of bare stepping"
         else:
-            rate = _publishing_rate(robot, actor, episodes)
+            rate = _measure_publishing_rate(robot, actor, episodes)
         total = len(catalogue(robot)) * 100 * 1000
         ours += total / rate / scaling
         stock += total / figures[STOCK]
         rates.append(f"{robot} {rate:,.0f} steps/s ({origin})")
-    few, many = (_publishing_memory(variants) for variants in (4, 16))
+    few, many = (_measure_publishing_memory(variants) for variants in (4, 16))
     return Row(
         "publish all 154 x 100 episodes of 1000 steps, two cores",
         {OURS: ours / 60, "stock, one process": stock / 60},
         "min",
         {"minutes": ours / 60, "peak memory, 16 variants to 4": many / few},
         {"minutes": ("most", 25.0), "peak memory, 16 variants to 4": ("most", 1.05)},
-        f"extrapolated from {episodes} episodes of 4 variants a robot, digests and checks included: "
-        f"{', '.join(rates)}; peak {many / 2**20:.0f} MB a process",
+        f"extrapolated from {episodes} episodes of 4 variants per robot, digests and checks included: "
+        f"{', '.join(rates)}; peak {many / 2**20:.0f} MB per process",
     )
 
 
-def _publishing_rate(robot: str, actor: Actor, episodes: int) -> float:
-    """Return the steps a second, one process, at which some variants of a robot are published."""
+def _measure_publishing_rate(robot: str, actor: Actor, episodes: int) -> float:
+    """Return the rate, in steps per second and process, of publishing some variants of a robot."""
     everything = catalogue(robot)
     with tempfile.TemporaryDirectory() as folder:
         policy = save_actor(actor, Path(folder) / "actor.safetensors")
@@ -289,7 +292,7 @@ def _publishing_rate(robot: str, actor: Actor, episodes: int) -> float:
     return sum(outcome.steps for outcome in outcomes) / sum(outcome.seconds for outcome in outcomes)
 
 
-_PUBLISH = """
+_PUBLISH_SCRIPT = """
 import sys
 from scripts.speed.measuring import peak_memory
 from imujoco_minari.publishing.publisher import publish_all
@@ -301,14 +304,14 @@ print(peak_memory())
 """
 
 
-def _publishing_memory(variants: int) -> int:
-    """Return the peak memory of a process that publishes so many variants."""
+def _measure_publishing_memory(variants: int) -> int:
+    """Return the peak memory in bytes of a process that publishes ``variants`` variants."""
     done = subprocess.run(
-        [sys.executable, "-c", _PUBLISH, str(variants)], capture_output=True, text=True, check=True
+        [sys.executable, "-c", _PUBLISH_SCRIPT, str(variants)], capture_output=True, text=True, check=True
     )
     return int(done.stdout)
 
 
 def cores() -> int:
-    """Return how many processors this process may use."""
+    """Return the number of processors that this process may use."""
     return len(os.sched_getaffinity(0))

@@ -1,4 +1,4 @@
-"""Combining, loading and sampling, beside Minari's own ways and the bytes that must move."""
+"""Benchmarks of combining, loading and sampling, against Minari and against copying the bytes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from scripts.speed.measuring import LIMIT, OURS, STOCK, Row, ratio, take_turns, 
 
 
 def combining_row(ids: list[str], rounds: int) -> Row:
-    """Twenty datasets into one, against ``minari.combine_datasets`` and ``cp``."""
+    """Measure combining twenty datasets against ``minari.combine_datasets`` and ``cp``."""
     loaded = [minari.load_dataset(dataset_id) for dataset_id in ids]
     files = [file_format.main_file(dataset.storage.data_path) for dataset in loaded]
     episodes = sum(dataset.total_episodes for dataset in loaded)
@@ -41,7 +41,7 @@ def combining_row(ids: list[str], rounds: int) -> Row:
     def clear() -> None:
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
-        # What another has left to write would be forced to the disk with ours.
+        # Pending writes of the previous contender would delay the sync of this one.
         os.sync()
 
     def copy() -> None:
@@ -49,7 +49,7 @@ def combining_row(ids: list[str], rounds: int) -> Row:
             for file in files:
                 with file.open("rb") as source:
                     shutil.copyfileobj(source, target, 2**20)
-            # What is combined is forced to the disk too.
+            # Combining syncs its file to the disk too.
             target.flush()
             os.fsync(target.fileno())
 
@@ -68,13 +68,13 @@ def combining_row(ids: list[str], rounds: int) -> Row:
         {
             "times stock": ratio(seconds[STOCK], seconds[OURS]),
             "times cp": ratio(seconds[OURS], seconds[LIMIT]),
-            "link, ms an episode": times(seconds)["link"] / episodes * 1000,
+            "link, ms per episode": times(seconds)["link"] / episodes * 1000,
         },
         {
             "times stock": ("least", 4.0),
             "link, ms an episode": ("most", 0.1),
         },
-        "limit is cp with fsync, which combining does too",
+        "limit is cp with fsync, since combining syncs too",
     )
 
 
@@ -86,7 +86,7 @@ _LOADS = {
 
 
 def loading_row(ids: list[str], rounds: int) -> Row:
-    """A collection into arrays, against iterating with Minari and ``np.load``."""
+    """Measure loading datasets into arrays against iterating with Minari and ``np.load``."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         whole = arrays(ids)
@@ -102,7 +102,7 @@ def loading_row(ids: list[str], rounds: int) -> Row:
             },
             rounds,
         )
-    memory = {name: _peak_memory(code, ids) for name, code in _LOADS.items()}
+    memory = {name: _measure_peak_memory(code, ids) for name, code in _LOADS.items()}
     return Row(
         f"load {len(ids)} datasets into arrays ({size / 2**20:.0f} MB)",
         times(seconds),
@@ -114,12 +114,12 @@ def loading_row(ids: list[str], rounds: int) -> Row:
             "the same, stock": (memory[STOCK] - memory["base"]) / size,
         },
         {"times stock": ("least", 3.0), "peak memory to the arrays": ("most", 1.3)},
-        "stock iterates and concatenates, next observations too",
+        "stock iterates and concatenates, including next observations",
     )
 
 
 def stock_load(ids: list[str]) -> tuple[Any, ...]:
-    """Load datasets as one does without this package: iterate and concatenate."""
+    """Load datasets without this package: iterate with Minari and concatenate."""
     columns: dict[str, list[Any]] = {key: [] for key in STEP_ARRAYS}
     for number, dataset_id in enumerate(ids):
         for episode in minari.load_dataset(dataset_id).iterate_episodes():
@@ -133,15 +133,15 @@ def stock_load(ids: list[str]) -> tuple[Any, ...]:
     return tuple(np.concatenate(parts) for parts in columns.values())
 
 
-def _peak_memory(code: str, ids: list[str]) -> int:
-    """Return the peak resident memory, in bytes, of a process that runs ``code``."""
+def _measure_peak_memory(code: str, ids: list[str]) -> int:
+    """Return the peak resident memory in bytes of a process that runs ``code``."""
     script = f"ids = {ids!r}\n{code}\nfrom scripts.speed.measuring import peak_memory\nprint(peak_memory())"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     return int(done.stdout.split()[-1])
 
 
 def sampling_rows(ids: list[str], rounds: int) -> list[Row]:
-    """Minibatches out of loaded arrays, against the peers that are installed."""
+    """Measure drawing batches from loaded arrays against the installed peers."""
     data = arrays(ids, dtype=np.float32)
     return [_transitions_row(data, ids, rounds), _episodes_row(data, ids, rounds)]
 
@@ -159,7 +159,7 @@ def _transitions_row(data: Arrays, ids: list[str], rounds: int) -> Row:
                 getattr(data, key)[rows]
 
     def minari_sampling() -> None:
-        # Minari samples whole episodes; a batch of transitions is then drawn out of five.
+        # Minari samples whole episodes. A batch of transitions is drawn from five of them.
         for _ in range(batches // 20):
             episodes = dataset.sample_episodes(5)
             pool = np.concatenate([episode.observations[:-1] for episode in episodes])
@@ -172,7 +172,7 @@ def _transitions_row(data: Arrays, ids: list[str], rounds: int) -> Row:
 
         return run
 
-    # The slow ones do a twentieth of the work, which is then counted twenty times.
+    # Slow peers do a twentieth of the work, and their times are multiplied by twenty.
     slow = {"minari": minari_sampling}
     peers = {"SB3's buffer": sampling(partial(_sb3_buffer(data).sample, 256))}
     missing = []
@@ -191,7 +191,7 @@ def _transitions_row(data: Arrays, ids: list[str], rounds: int) -> Row:
     return Row(
         "batches of 256 transitions",
         times(seconds, 1e6 / batches),
-        "us a batch",
+        "us per batch",
         {f"times {name}": ratio(seconds[name], seconds[OURS]) for name in {**peers, **slow}}
         | {
             "times the best peer": ratio(seconds[best], seconds[OURS]),
@@ -243,7 +243,7 @@ def _episodes_row(data: Arrays, ids: list[str], rounds: int) -> Row:
         for _ in range(batches):
             sampler.sample(5, 0)
 
-    # What the original's sampler does with its tables, whose episodes all have a thousand rows.
+    # The original's sampler reads tables whose episodes all have a thousand rows.
     tables = tuple(torch.from_numpy(array) for array in (data.observations, data.actions))
     starts = np.arange(0, data.episode_ends[data.episode_variants == 0][-1], 1000)
 
@@ -264,11 +264,11 @@ def _episodes_row(data: Arrays, ids: list[str], rounds: int) -> Row:
     return Row(
         "batches of 5 whole episodes",
         times(seconds, 1e6 / batches),
-        "us a batch",
+        "us per batch",
         {
             "times stock": ratio(seconds[STOCK], seconds[OURS]),
             "times copying": ratio(seconds[OURS], seconds[LIMIT]),
             "Sampler, times the original's way": ratio(seconds["as the original"], seconds["Sampler"]),
         },
-        notes="stock, minari's sample_episodes, reads the disk; the original's gives two arrays and no mask",
+        notes="stock is minari's sample_episodes, which reads the disk; the original's has no mask",
     )

@@ -1,7 +1,7 @@
-"""Ratios measured side by side.
+"""Measurement of ratios between contenders.
 
-The contenders of a row take turns, round after round, so that what slows the machine down slows all of
-them; a figure is the median over the rounds, and a ratio the median of the rounds' ratios.
+The contenders of a row run in turns, so a slow phase of the machine affects all of them. A figure is the
+median over the rounds. A ratio is the median of the ratios of the rounds.
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ from statistics import median
 from typing import Any
 
 OURS, STOCK, LIMIT = "ours", "stock", "limit"
-# On a machine that others use, the processor's time of this process says more than the wall's; but it
-# does not count waiting for the disk.
+# On a busy machine, processor time is more reliable than wall time, but it does not count waiting for the
+# disk.
 CLOCK = time.process_time if os.environ.get("BENCH_CLOCK") == "cpu" else time.perf_counter
 
 
 @dataclass
 class Row:
-    """One line of the table.
+    """One row of the table.
 
     Attributes:
-        work: what is done.
-        figures: contender to its figure, in ``unit``.
-        unit: of the figures; a rate (``.../s``) is better when larger, a time when smaller.
-        targets: what to reach, as named ratio to (least or most, bound).
-        ratios: named ratio to its value.
-        notes: what else the reader must know.
+        work: description of the measured work.
+        figures: maps each contender to its figure, in ``unit``.
+        unit: unit of the figures. A higher rate (``.../s``) is better, a lower time is better.
+        ratios: maps the name of each ratio to its value.
+        targets: maps the name of a ratio to its target: "least" or "most", and the bound.
+        notes: remarks on the measurement.
     """
 
     work: str
@@ -42,7 +42,7 @@ class Row:
     notes: str = ""
 
     def reached(self, name: str) -> bool:
-        """Return whether the target of a ratio is reached."""
+        """Return whether a ratio reaches its target."""
         kind, bound = self.targets[name]
         return self.ratios[name] >= bound if kind == "least" else self.ratios[name] <= bound
 
@@ -54,19 +54,19 @@ def take_turns(
     processes: bool = False,
     before: Callable[[], Any] | None = None,
 ) -> dict[str, list[float]]:
-    """Run each contender once a round and return the seconds that each took in each round.
+    """Run each contender once per round and return its times in seconds, one per round.
 
     Args:
-        contenders: name to what is run.
-        rounds: how many.
-        processes: whether contenders work in other processes too; wall time alone counts then.
-        before: what is done before each turn, and not counted.
+        contenders: maps names to the functions to run.
+        rounds: number of rounds.
+        processes: whether contenders use other processes too. Wall time is measured then.
+        before: called before each run, outside the measured time.
     """
     clock = time.perf_counter if processes else CLOCK
     seconds: dict[str, list[float]] = {name: [] for name in contenders}
     names = list(contenders)
     for number in range(rounds):
-        # Not always in the same order: who comes second may find a warm cache, or a hot processor.
+        # The order alternates, because the second contender may find a warm cache or a hot processor.
         for name in names if number % 2 == 0 else reversed(names):
             if before is not None:
                 before()
@@ -78,12 +78,12 @@ def take_turns(
 
 
 def ratio(over: list[float], under: list[float]) -> float:
-    """Return the median of the rounds' ratios."""
+    """Return the median of the ratios of the rounds."""
     return median(a / b for a, b in zip(over, under, strict=True))
 
 
 def rates(seconds: Mapping[str, list[float]], amount: float) -> dict[str, float]:
-    """Return the median rate of each contender at ``amount`` units a run."""
+    """Return the median rate of each contender, for ``amount`` units per run."""
     return {name: amount / median(values) for name, values in seconds.items()}
 
 
@@ -93,14 +93,14 @@ def times(seconds: Mapping[str, list[float]], scale: float = 1.0) -> dict[str, f
 
 
 def peak_memory() -> int:
-    """Return this process's peak resident memory in bytes; ``ru_maxrss`` would include its parent's."""
+    """Return this process's peak resident memory in bytes. ``ru_maxrss`` would include its parent's."""
     lines = Path("/proc/self/status").read_text().splitlines()
     return 1024 * int(next(line for line in lines if line.startswith("VmHWM")).split()[1])
 
 
 def table(rows: list[Row]) -> str:
     """Return the rows as a Markdown table."""
-    lines = ["| work | figures | ratios | to reach | |", "|---|---|---|---|---|"]
+    lines = ["| work | figures | ratios | target | |", "|---|---|---|---|---|"]
     for row in rows:
         figures = "; ".join(f"{name} {value:,.4g}" for name, value in row.figures.items()) + f" {row.unit}"
         ratios = "; ".join(f"{name} {value:.3g}" for name, value in row.ratios.items())

@@ -1,4 +1,4 @@
-"""What an import and the quick commands take, beside what they cannot do without."""
+"""Benchmarks of the import and of quick commands, against the imports that they need."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from scripts.speed.measuring import Row, take_turns, times
 
 
 def starting_rows(rounds: int) -> list[Row]:
-    """Imports and the two commands that people wait for."""
+    """Measure imports and the commands ``list`` and ``show``."""
 
     def python(*arguments: str) -> None:
         subprocess.run([sys.executable, *arguments], stdout=subprocess.DEVNULL, check=True)

@@ -1,4 +1,4 @@
-"""What the benchmarks work on: policies, and datasets made with them in a Minari root of their own."""
+"""The policies and datasets that the benchmarks use, in a temporary Minari root."""
 
 from __future__ import annotations
 
@@ -19,19 +19,20 @@ UNTRAINED = "untrained policy, so short episodes"
 
 
 def actor_of(robot: str, folder: Path | None) -> tuple[Actor, str]:
-    """Return an actor for a robot's base variant, and where it is from.
+    """Return an actor for a robot's base, and a description of its origin.
 
-    The best there is: ``<robot>.safetensors`` in ``folder``, the shipped expert, or random weights.
+    It is the first of these that exists: ``<robot>.safetensors`` in ``folder``, the shipped expert, or an
+    actor with random weights.
     """
     if folder is not None and (folder / f"{robot}.safetensors").is_file():
         return read_actor(folder / f"{robot}.safetensors"), "given policy"
     try:
         return expert_actor(Variant.parse(f"{robot}-base")), "expert"
     except (PolicyNotFoundError, KeyError):
-        return _untrained(*specification(robot).sizes), UNTRAINED
+        return _make_untrained(*specification(robot).sizes), UNTRAINED
 
 
-def _untrained(observations: int, actions: int) -> Actor:
+def _make_untrained(observations: int, actions: int) -> Actor:
     rng = np.random.default_rng(0)
     shapes = {
         "latent_pi.0": (256, observations),
@@ -47,10 +48,10 @@ def _untrained(observations: int, actions: int) -> Actor:
 
 
 def stand_in_records(folder: Path) -> None:
-    """Write records for variants that have none, so that no row measures how a random policy is measured.
+    """Write a record for each variant that has none, so that no row measures random rollouts.
 
-    A shipped variant's record holds its random policy's returns; publishing one that has no record rolls
-    out 100 random episodes for them.
+    A record states the returns of the random policy. Without a record, publishing rolls out 100 random
+    episodes.
     """
     folder.mkdir(parents=True, exist_ok=True)
     random = {"return_mean": 0.0, "episodes": 100}
@@ -60,7 +61,7 @@ def stand_in_records(folder: Path) -> None:
 
 
 def save_actor(actor: Actor, path: Path) -> Path:
-    """Write an actor where a recipe can name it."""
+    """Write an actor to a file for a recipe and return its path."""
     from safetensors.numpy import save_file
 
     save_file({name: np.ascontiguousarray(array) for name, array in actor.weights.items()}, path)
@@ -68,7 +69,7 @@ def save_actor(actor: Actor, path: Path) -> Path:
 
 
 def publish_copies(variant: Variant, policy: Path, episodes: int, copies: int) -> list[str]:
-    """Publish one dataset, and copies of it under other ids: stock Minari combines no others than equals."""
+    """Publish a dataset and copies of it with other ids. Stock Minari combines only equal environments."""
     first = publish(Recipe(variant, "bench", episodes, policy=policy)).dataset_id
     ids = []
     for number in range(copies):

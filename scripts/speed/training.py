@@ -1,4 +1,4 @@
-"""Wall time to a variant's expert, from the records of trained ones, against SB3's SAC from scratch."""
+"""Wall time of training a variant's expert, from the records, against SB3's SAC from scratch."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ from imujoco_minari.envs.registration import make
 from imujoco_minari.policies import expert_record, expert_variants
 from scripts.speed.measuring import OURS, STOCK, Row
 
-# Where training from scratch is given up.
+# Number of steps of training from scratch.
 STEPS = 1_000_000
 
 
 def training_row(seconds: float) -> Row:
-    """Compare the recorded wall times of warm-started experts with what a million steps of SB3 would take.
+    """Compare the recorded wall times of experts with the estimated time of a million steps of SB3.
 
     Args:
-        seconds: for how long SB3's rate is measured, on this machine, after its warm-up.
+        seconds: duration of the measurement of SB3's rate on this machine, after its warm-up.
     """
     from stable_baselines3 import SAC
     from stable_baselines3.common.callbacks import BaseCallback
 
     records = [expert_record(variant) for variant in expert_variants() if variant.category != "base"]
     if not records:
-        raise SystemExit("no trained variants to compare: `imujoco train` makes them")
+        raise SystemExit("no trained variants to compare: train some with `imujoco train`")
 
     class Clock(BaseCallback):
         started: tuple[float, int] | None = None
@@ -49,5 +49,5 @@ def training_row(seconds: float) -> Row:
         "min",
         {"times less": scratch / ours},
         {"times less": ("least", 20.0)},
-        f"recorded wall times; SB3 at {clock.rate:.0f} steps/s, given up at a million steps",
+        f"recorded wall times; SB3 at {clock.rate:.0f} steps/s, for a million steps",
     )

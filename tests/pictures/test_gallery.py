@@ -157,7 +157,7 @@ def test_a_page_tells_the_numbers_before_and_after(tmp_path: Path, drawn: list[s
         assert difference.quantity in text
         assert f"{difference.before:.5g}" in text
         assert f"{difference.after:.5g}" in text
-    assert "No expert policy is there for it yet" in text
+    assert "It has no expert policy yet" in text
     assert "measured for this page" in text
     base = Page(tmp_path / "site" / "variants" / "hopper-base.html")
     assert "the robot of Gymnasium’s v5 environment" in base.text  # noqa: RUF001
@@ -295,10 +295,10 @@ def test_a_variant_outside_the_catalogue_can_be_shown(tmp_path: Path, drawn: lis
 
 def test_a_folder_of_someone_elses_is_left_alone(tmp_path: Path, drawn: list[str]) -> None:
     (tmp_path / "thesis.tex").write_text("years of work")
-    with pytest.raises(StorageError, match="no gallery and not empty"):
+    with pytest.raises(StorageError, match="not a gallery and not empty"):
         build(tmp_path, [LEG])
     (tmp_path / "gallery.json").write_text("{}")
-    with pytest.raises(StorageError, match=r"gallery\.json is not what this version writes"):
+    with pytest.raises(StorageError, match=r"gallery\.json has another format than this version writes"):
         build(tmp_path, [LEG])
     assert sorted(path.name for path in tmp_path.iterdir()) == ["gallery.json", "thesis.tex"]
 
@@ -327,7 +327,7 @@ def test_without_opengl_nothing_is_half_made(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def no_studio(self: ClipMaker) -> Any:
-        raise RenderingError("no OpenGL to draw off-screen with")
+        raise RenderingError("no OpenGL for off-screen rendering")
 
     monkeypatch.setattr(ClipMaker, "studio", property(no_studio))
     assert run(["gallery", str(tmp_path / "site"), str(LEG)]) == 1

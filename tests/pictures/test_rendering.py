@@ -429,7 +429,7 @@ def test_a_library_that_is_not_there_does_not_work() -> None:
 def test_the_backend_is_found_after_mujoco_was_imported(opengl: str, tmp_path: Path) -> None:
     """What MuJoCo settled on at its import does not matter; nor does a display that is not there."""
     code = (
-        "import sys, mujoco, imujoco_minari.envs.robots.robots\n"
+        "import sys, mujoco, imujoco_minari.envs.robots\n"
         "from imujoco_minari.cli.app import run\n"
         "import imujoco_minari.cli\n"
         "sys.exit(run('render hopper-base --tier random --size 64x64 --output'.split() + sys.argv[1:]))"

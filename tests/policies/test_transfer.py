@@ -47,13 +47,13 @@ def policies() -> dict[str, Policy]:
 def evaluated(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
     """The cells that are really evaluated."""
     cells: list[tuple[str, str]] = []
-    inner = module._evaluate
+    inner = module._evaluate_cell
 
     def count(cell: Any) -> Any:
         cells.append((cell.policy_name, str(cell.variant)))
         return inner(cell)
 
-    monkeypatch.setattr(module, "_evaluate", count)
+    monkeypatch.setattr(module, "_evaluate_cell", count)
     return cells
 
 
@@ -153,7 +153,7 @@ def test_a_file_that_is_no_state_is_left_alone(
 ) -> None:
     state = tmp_path / "state.json"
     state.write_text(text)
-    with pytest.raises(TransferError, match=r"state\.json is no state of a transfer"):
+    with pytest.raises(TransferError, match=r"state\.json is not a state file of a transfer"):
         evaluate_transfer(policies, VARIANTS, state)
     assert state.read_text() == text
 

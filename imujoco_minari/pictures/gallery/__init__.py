@@ -1,7 +1,7 @@
-"""A static website of the variants: pictures, numbers, returns, and the code that loads them.
+"""A static website of the variants: pictures, numbers, returns, and code to load them.
 
 :mod:`~imujoco_minari.pictures.gallery.entries` collects the facts about a variant, ``clips`` draws it,
-``pages`` writes its HTML, and ``builder`` makes the site.
+``pages`` writes its HTML, and ``builder`` builds the site.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Makes the site: gathers, draws and writes variant by variant, and keeps what was done before.
+"""Builds the site of the gallery, one variant after the other.
 
-The site's own ``gallery.json`` says which variants it has and what their pictures were drawn from.
-It is written after each variant, so a run that is broken off goes on where it was.
+The site's ``gallery.json`` lists its variants and the keys of their pictures. It is written after each
+variant, so an interrupted run continues where it stopped.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ ASSETS = ("style.css", "gallery.js")
 
 @dataclass(frozen=True)
 class Built:
-    """What a run made.
+    """The outcome of a run.
 
     Attributes:
-        folder: the site's folder; ``index.html`` in it is the first page.
-        variants: how many variants the site has, the bases among them.
-        drawn: how many of them were drawn in this run.
-        failed: variant -> why it is not in the site.
+        folder: folder of the site. Its first page is ``index.html``.
+        variants: number of variants in the site, bases included.
+        drawn: number of variants that this run drew.
+        failed: maps each variant that is not in the site to the reason.
     """
 
     folder: Path
@@ -46,30 +46,30 @@ class Built:
 def build(
     folder: Path, variants: Sequence[Variant], *, on_variant: Callable[[], None] | None = None
 ) -> Built:
-    """Make the site in ``folder``, of ``variants``, of their base robots, and of what it has already.
+    """Build or update a site. It keeps its variants and gets ``variants`` and their base robots.
 
     Args:
-        folder: new, empty, or a site that an earlier run made.
-        variants: which variants to add or bring up to date.
+        folder: a new or empty folder, or a site of an earlier run.
+        variants: the variants to add or to update.
         on_variant: called after each variant.
 
     Raises:
-        StorageError: when the folder is another's, or cannot be written.
-        RenderingError: when there is no OpenGL to draw with.
-        DependencyError: when what writes the clips is not installed.
+        StorageError: if the folder has other content or cannot be written.
+        RenderingError: if no OpenGL works.
+        DependencyError: if ``imageio-ffmpeg``, which writes the clips, is not installed.
     """
     check_format(Path("clip.mp4"))
     state = _read_state(folder)
-    order = _in_order({*variants, *(variant.base for variant in variants), *_had(state)})
+    order = _sort_by_catalogue({*variants, *(variant.base for variant in variants), *_drawn_variants(state)})
     entries, failed, drawn = [], {}, 0
     with ClipMaker(folder) as maker:
         for variant in order:
             known = state["variants"].setdefault(str(variant), {})
             try:
                 clip, key, new = maker.draw(variant, known)
-                entry = Entry(variant, changes(variant), scores(variant, _known_random(known)), clip)
+                entry = Entry(variant, changes(variant), scores(variant, _stored_random_score(known)), clip)
             except (RenderingError, StorageError):
-                # What stops one picture stops them all.
+                # These errors would stop every variant.
                 raise
             except ImujocoError as error:
                 failed[str(variant)] = str(error)
@@ -77,7 +77,7 @@ def build(
             else:
                 entries.append(entry)
                 drawn += new
-                _note(known, entry, clip, key)
+                _update_state(known, entry, clip, key)
                 write_text(folder / STATE, json.dumps(state, indent=1) + "\n")
             if on_variant is not None:
                 on_variant()
@@ -86,8 +86,8 @@ def build(
 
 
 def steps(folder: Path, variants: Sequence[Variant]) -> int:
-    """Return how often :func:`build` will call ``on_variant``."""
-    return len({*variants, *(variant.base for variant in variants), *_had(_read_state(folder))})
+    """Return the number of calls of ``on_variant`` that :func:`build` will make."""
+    return len({*variants, *(variant.base for variant in variants), *_drawn_variants(_read_state(folder))})
 
 
 def _write_pages(folder: Path, entries: Sequence[Entry]) -> None:
@@ -104,7 +104,7 @@ def _write_pages(folder: Path, entries: Sequence[Entry]) -> None:
             folder / name,
             (resources.files("imujoco_minari.pictures.gallery") / "site" / name).read_text("utf-8"),
         )
-    # Last, as it leads to all the others.
+    # The index is written last, because it links to all other pages.
     write_text(folder / "index.html", index_page(entries))
 
 
@@ -112,7 +112,7 @@ def _read_state(folder: Path) -> dict[str, Any]:
     path = folder / STATE
     if not path.is_file():
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise StorageError(f"{folder} is no gallery and not empty: name a new folder")
+            raise StorageError(f"{folder} is not a gallery and not empty: choose a new folder")
         return {"format": FORMAT, "variants": {}}
     try:
         state = json.loads(path.read_text("utf-8"))
@@ -120,26 +120,28 @@ def _read_state(folder: Path) -> dict[str, Any]:
             return dict(state)
     except (OSError, ValueError, KeyError, TypeError):
         pass
-    raise StorageError(f"{path} is not what this version writes: remove it, and the gallery is drawn anew")
+    raise StorageError(
+        f"{path} has another format than this version writes: remove it to draw the gallery again"
+    )
 
 
-def _had(state: dict[str, Any]) -> set[Variant]:
+def _drawn_variants(state: dict[str, Any]) -> set[Variant]:
     return {Variant.parse(name) for name, known in state["variants"].items() if known}
 
 
-def _known_random(known: dict[str, Any]) -> Score | None:
+def _stored_random_score(known: dict[str, Any]) -> Score | None:
     return Score(**known["random"]) if "random" in known else None
 
 
-def _note(known: dict[str, Any], entry: Entry, clip: Clip, key: str) -> None:
+def _update_state(known: dict[str, Any], entry: Entry, clip: Clip, key: str) -> None:
     known.update(key=key, clip=asdict(clip))
     for score in entry.scores:
         if score.tier == RANDOM:
             known["random"] = asdict(score)
 
 
-def _in_order(variants: set[Variant]) -> list[Variant]:
-    """Return variants in the catalogue's order, each robot's base first, those outside it last."""
+def _sort_by_catalogue(variants: set[Variant]) -> list[Variant]:
+    """Return variants in the catalogue's order: each base before its variants, unlisted variants last."""
     listed = [v for base in bases() for v in (base, *catalogue(base.robot))]
     rank = {variant: number for number, variant in enumerate(listed)}
     return sorted(variants, key=lambda variant: (rank.get(variant, len(rank)), variant))

@@ -1,7 +1,7 @@
-"""The gallery's pictures: a short clip and a portrait of each variant, drawn once and kept.
+"""The gallery's pictures: a short clip and a portrait of each variant.
 
-What was drawn is noted with a digest of all that decides it (model, policy, size, seconds); a later
-run draws only what has changed, and needs no OpenGL when nothing has.
+Each picture has a key, the digest of everything that decides it (model, policy, size, seconds). A later run
+draws only pictures with a new key. It needs no OpenGL if there are none.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from imujoco_minari.variants import EXPERT, Variant, catalogue
 
 SIZE = (320, 240)
 SECONDS, FRAMES_PER_SECOND, QUALITY = 4.0, 20.0, 30
-# An episode that ends at once would flicker in a loop; its end stands for a second.
+# An episode that ends at once would flicker in a loop, so its last frame stays for a second.
 REST_SECONDS = 1.0
-# Goes up when pictures of the same variant come to look different.
+# Increase this number when the look of the pictures changes.
 STYLE = 2
 
 
 class ClipMaker:
-    """Draws clips and portraits into the folder of a site; use it as a context manager.
+    """Draws clips and portraits into the folder of a site. It is a context manager.
 
     Args:
         folder: the site's folder.
@@ -60,19 +60,19 @@ class ClipMaker:
             self._studio.close()
 
     def draw(self, variant: Variant, known: Mapping[str, Any]) -> tuple[Clip, str, bool]:
-        """Draw a variant's clip and portrait unless what is ``known`` shows that they are there.
+        """Draw a variant's clip and portrait, unless an earlier run has drawn the same.
 
         Args:
-            variant: which variant.
-            known: ``key`` and ``clip`` of what an earlier run drew, or nothing.
+            variant: the variant.
+            known: ``key`` and ``clip`` of an earlier run, or empty.
 
         Returns:
-            What the clip shows, its key, and whether anything was drawn.
+            The content of the clip, its key, and whether it was drawn now.
 
         Raises:
-            RenderingError: when there is no OpenGL to draw with.
-            StorageError: when a file cannot be written.
-            PolicyError: when the variant's policy cannot be read.
+            RenderingError: if no OpenGL works.
+            StorageError: if a file cannot be written.
+            PolicyError: if the variant's policy cannot be read.
         """
         policy, tier = choose_policy(variant)
         key = clip_key(variant, policy)
@@ -86,7 +86,7 @@ class ClipMaker:
 
     @property
     def studio(self) -> Studio:
-        """The renderer, made when it is first needed."""
+        """The renderer. It is made at the first use."""
         if self._studio is None:
             self._studio = Studio(*SIZE, fine=False)
         return self._studio
@@ -104,21 +104,24 @@ class ClipMaker:
         )
 
     def _write_portrait(self, variant: Variant, path: Path) -> None:
-        # Seen with the longest of its kin, each is seen from the same distance, whatever else is drawn.
-        seen = [_standing(variant), *(_standing(each) for each in catalogue(variant.robot, "length"))]
+        # The variants of other lengths are framed too, so all portraits of a robot have the same distance.
+        seen = [
+            _stance_capsules(variant),
+            *(_stance_capsules(each) for each in catalogue(variant.robot, "length")),
+        ]
         camera = follow(seen, self.studio.aspect, 1.0)[0]
         shot = next(self.studio.shoot(variant, [stance(variant)], camera))
         write_picture(path, Image.fromarray(np.ascontiguousarray(shot)))
 
 
 @cache
-def _standing(variant: Variant) -> Capsules:
+def _stance_capsules(variant: Variant) -> Capsules:
     """Return the capsules of a variant in its stance."""
     return capsules(compile_mjcf(canonical_mjcf(variant)), stance(variant)[None])
 
 
 def choose_policy(variant: Variant) -> tuple[Policy, str]:
-    """Return the policy that a variant's clip shows, and its tier: the expert, or failing that random."""
+    """Return the policy of a variant's clip and its tier: the expert, or random if there is none."""
     try:
         return load_policy(variant), EXPERT
     except PolicyNotFoundError:
@@ -126,7 +129,7 @@ def choose_policy(variant: Variant) -> tuple[Policy, str]:
 
 
 def clip_key(variant: Variant, policy: Policy) -> str:
-    """Return the digest of all that decides how a variant's pictures look."""
+    """Return the digest of everything that decides a variant's pictures."""
     parts = (
         STYLE,
         SIZE,
@@ -141,10 +144,10 @@ def clip_key(variant: Variant, policy: Policy) -> str:
 
 
 def clip_file(folder: Path, variant: Variant) -> Path:
-    """Return where a variant's clip lies in the site."""
+    """Return the path of a variant's clip in the site."""
     return folder / "clips" / f"{variant}.mp4"
 
 
 def portrait_file(folder: Path, variant: Variant) -> Path:
-    """Return where a variant's portrait lies in the site."""
+    """Return the path of a variant's portrait in the site."""
     return folder / "portraits" / f"{variant}.webp"

@@ -1,4 +1,4 @@
-"""What the gallery tells of a variant: what it changes, and what its policies and datasets score."""
+"""The facts that the gallery shows about a variant: its changes, and scores of policies and datasets."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.variants import BASE, EXPERT, NAMESPACE, Variant, parse_dataset_id, specification
 
 RANDOM = "random"
-# Enough to place a random policy, whose exact return nobody looks for; a record holds more.
+# A rough return is enough for a random policy. Records have a more exact one.
 RANDOM_EPISODES = 10
 
 
 @dataclass(frozen=True)
 class Score:
-    """What one tier of a variant scores.
+    """The score of one tier of a variant.
 
     Attributes:
         tier: name of the tier.
-        algorithm: what made its policy.
+        algorithm: algorithm that trained its policy.
         return_mean: mean undiscounted return.
-        return_std: its standard deviation over episodes.
+        return_std: standard deviation of the return over episodes.
         length_mean: mean length of an episode, in steps.
-        episodes: how many episodes that is of.
-        origin: where the numbers come from, in a few words.
+        episodes: number of episodes.
+        origin: the source of the numbers, in a few words.
     """
 
     tier: str
@@ -48,13 +48,13 @@ class Score:
 
 @dataclass(frozen=True)
 class Clip:
-    """What a variant's video shows.
+    """The content of a variant's video.
 
     Attributes:
-        tier: which policy moves the robot.
-        seconds: how long it moves.
-        total: return of what is shown.
-        ended: whether the episode ended there, as the robot left its healthy range.
+        tier: tier of the policy.
+        seconds: length of the motion, in simulated seconds.
+        total: return of the motion.
+        ended: whether the episode ended because the robot left its healthy range.
     """
 
     tier: str
@@ -65,7 +65,7 @@ class Clip:
 
 @dataclass(frozen=True)
 class Entry:
-    """All that the gallery tells of one variant."""
+    """All facts that the gallery shows about one variant."""
 
     variant: Variant
     changes: tuple[Difference, ...]
@@ -74,31 +74,33 @@ class Entry:
 
     @property
     def best(self) -> Score:
-        """The score that a variant is sorted by: its expert's, else the highest."""
+        """The score that sorts the variant: the expert's, or else the highest."""
         expert = [score for score in self.scores if score.tier == EXPERT]
         return expert[0] if expert else max(self.scores, key=lambda score: score.return_mean)
 
 
 def changes(variant: Variant) -> tuple[Difference, ...]:
-    """Return what a variant changes, in numbers; nothing for a base robot."""
+    """Return the quantities that a variant changes; empty for a base robot."""
     return () if variant.category == BASE else tuple(differences(variant))
 
 
 def scores(variant: Variant, random: Score | None = None) -> tuple[Score, ...]:
-    """Return the scores of a variant's tiers: of its expert's record, its random policy and its datasets.
+    """Return the scores of a variant's tiers, highest first.
+
+    They come from the expert's record, the published datasets and the random policy.
 
     Args:
-        variant: which variant.
-        random: the random policy's score, where it was measured before.
+        variant: the variant.
+        random: the random policy's score, if it was measured before.
     """
     record = expert_record(variant)
     found: dict[str, Score] = {}
     if "evaluation" in record:
-        found[EXPERT] = _of_record(EXPERT, str(record["algorithm"]), record["evaluation"])
+        found[EXPERT] = _score_from_evaluation(EXPERT, str(record["algorithm"]), record["evaluation"])
     for score in published_scores(variant):
         found.setdefault(score.tier, score)
     if "random" in record:
-        found[RANDOM] = _of_record(RANDOM, "uniform actions", record["random"])
+        found[RANDOM] = _score_from_evaluation(RANDOM, "uniform actions", record["random"])
     else:
         found.setdefault(RANDOM, random or measured_random(variant))
     return tuple(sorted(found.values(), key=lambda score: -score.return_mean))
@@ -111,25 +113,27 @@ def measured_random(variant: Variant) -> Score:
         outcome = evaluate(env, policy, episodes=RANDOM_EPISODES)
     finally:
         env.close()
-    return _of_record(RANDOM, "uniform actions", outcome.asdict(), "measured for this page")
+    return _score_from_evaluation(RANDOM, "uniform actions", outcome.asdict(), "measured for this page")
 
 
 def published_scores(variant: Variant) -> Iterator[Score]:
-    """Yield the score of each dataset of a variant that is published here."""
+    """Yield the score of each dataset of a variant in the Minari root."""
     for folder in sorted((minari_root.datasets_root() / NAMESPACE).glob(f"{variant}*-v0")):
         try:
             found, tier = parse_dataset_id(f"{NAMESPACE}/{folder.name}")
         except VariantError:
             continue
         if found == variant:
-            # A dataset that cannot be read is not this page's to complain of: `imujoco verify` does.
+            # Skip a dataset that cannot be read. `imujoco verify` reports it.
             try:
-                yield _of_dataset(folder / "data", tier)
+                yield _score_from_dataset(folder / "data", tier)
             except (OSError, KeyError, ValueError):
                 continue
 
 
-def _of_record(tier: str, algorithm: str, evaluation: Any, origin: str = "evaluation of the policy") -> Score:
+def _score_from_evaluation(
+    tier: str, algorithm: str, evaluation: Any, origin: str = "evaluation of the policy"
+) -> Score:
     return Score(
         tier,
         algorithm,
@@ -141,7 +145,7 @@ def _of_record(tier: str, algorithm: str, evaluation: Any, origin: str = "evalua
     )
 
 
-def _of_dataset(data: Any, tier: str) -> Score:
+def _score_from_dataset(data: Any, tier: str) -> Score:
     metadata = json.loads((data / "metadata.json").read_text("utf-8"))
     with h5py.File(file_format.main_file(data), "r") as file:
         attributes = [file[name].attrs for name in file]

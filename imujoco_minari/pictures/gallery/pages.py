@@ -1,4 +1,4 @@
-"""The gallery's entries as HTML. Every text is escaped here; nothing is fetched from anywhere else."""
+"""The HTML pages of the gallery. This module escapes every text. The pages load nothing from other sites."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ WHAT = {
 
 
 def index_page(entries: Sequence[Entry]) -> str:
-    """Return the first page: all variants, and what filters and sorts them."""
+    """Return the first page: all variants, with filters and sorting."""
     variants = [entry.variant for entry in entries]
     changed = sum(variant.category != BASE for variant in variants)
     experts = sum(entry.best.tier == EXPERT for entry in entries)
-    return _template("index.html").substitute(
+    return _load_template("index.html").substitute(
         count=len(entries),
-        changed=_plural(changed, "variant"),
-        bases=_plural(len(entries) - changed, "base robot"),
+        changed=_format_count(changed, "variant"),
+        bases=_format_count(len(entries) - changed, "base robot"),
         experts=experts,
         version=escape(version("imujoco-minari")),
-        robots=_options((robot, specification(robot).title) for robot in ROBOTS),
-        categories=_options((name, name) for name in (*CATEGORIES, BASE)),
-        bodies=_options((name, name) for name in sorted({v.body for v in variants if v.body})),
-        percents=_options(
-            (str(percent), _percent(percent))
+        robots=_render_options((robot, specification(robot).title) for robot in ROBOTS),
+        categories=_render_options((name, name) for name in (*CATEGORIES, BASE)),
+        bodies=_render_options((name, name) for name in sorted({v.body for v in variants if v.body})),
+        percents=_render_options(
+            (str(percent), _format_percent(percent))
             for percent in sorted({v.percent for v in variants if v.percent})
         ),
-        cards="\n".join(_card(entry, number) for number, entry in enumerate(entries)),
+        cards="\n".join(_render_card(entry, number) for number, entry in enumerate(entries)),
     )
 
 
@@ -48,16 +48,16 @@ def variant_page(entry: Entry, base: Entry | None, neighbours: tuple[Variant | N
     """Return the page of one variant.
 
     Args:
-        entry: what is known of it.
-        base: what is known of its base robot, whose clip and returns stand beside its own.
-        neighbours: the variants whose pages come before and after.
+        entry: the facts about the variant.
+        base: the facts about its base robot, whose clip and returns are shown for comparison.
+        neighbours: the variants of the previous and the next page.
     """
     variant = entry.variant
     is_base = variant.category == BASE
-    figures = [_figure(entry, "as changed" if not is_base else "unchanged")]
+    figures = [_render_figure(entry, "as changed" if not is_base else "unchanged")]
     if base is not None and not is_base:
-        figures.insert(0, _figure(base, "base robot"))
-    return _template("variant.html").substitute(
+        figures.insert(0, _render_figure(base, "base robot"))
+    return _load_template("variant.html").substitute(
         name=escape(str(variant)),
         summary=escape(summary(variant)),
         version=escape(version("imujoco-minari")),
@@ -66,11 +66,11 @@ def variant_page(entry: Entry, base: Entry | None, neighbours: tuple[Variant | N
         both='<p><button type="button" class="button" id="both">Play both from the start</button></p>'
         if len(figures) > 1
         else "",
-        changes=_changes_table(entry.changes),
-        scores=_scores_table(entry, base),
-        code="\n".join(_code(title, text, language) for title, text, language in snippets(entry)),
-        previous=_neighbour(neighbours[0], "prev", "Previous"),
-        next=_neighbour(neighbours[1], "next", "Next"),
+        changes=_render_changes(entry.changes),
+        scores=_render_scores(entry, base),
+        code="\n".join(_render_code(title, text, language) for title, text, language in snippets(entry)),
+        previous=_render_neighbour_link(neighbours[0], "prev", "Previous"),
+        next=_render_neighbour_link(neighbours[1], "next", "Next"),
     )
 
 
@@ -79,13 +79,15 @@ def summary(variant: Variant) -> str:
     page = specification(variant.robot)
     robot = f"{page.title} ({page.environment})"
     if variant.category == BASE:
-        return f"{robot}, unchanged: the robot that all its variants are compared with."
+        return f"{robot}, unchanged: all its variants are compared with it."
     names = " and ".join(variant.mjcf_names)
-    return f"{robot} with the {WHAT[variant.category]} of {names} changed by {_percent(variant.percent)}."
+    return (
+        f"{robot} with the {WHAT[variant.category]} of {names} changed by {_format_percent(variant.percent)}."
+    )
 
 
 def snippets(entry: Entry) -> list[tuple[str, str, str]]:
-    """Return title, text and language of the lines that publish, load and run a variant."""
+    """Return title, text and language of the code that publishes, loads and runs a variant."""
     variant, tier = entry.variant, entry.clip.tier
     dataset = variant.dataset_id(tier)
     option = "" if tier == EXPERT else f" --tier {tier}"
@@ -111,7 +113,7 @@ def snippets(entry: Entry) -> list[tuple[str, str, str]]:
     ]
 
 
-def _card(entry: Entry, number: int) -> str:
+def _render_card(entry: Entry, number: int) -> str:
     variant, best = entry.variant, entry.best
     title = specification(variant.robot).title
     words = (
@@ -125,21 +127,22 @@ def _card(entry: Entry, number: int) -> str:
         f'data-return="{best.return_mean:.6g}" data-order="{number}" data-words="{escape(words)}">'
         f'<a href="variants/{variant}.html">'
         f'<img src="portraits/{variant}.webp" width="{SIZE[0]}" height="{SIZE[1]}" loading="lazy" alt="">'
-        f'<span class="name">{_breakable(variant)}</span></a>'
+        f'<span class="name">{_add_break_points(variant)}</span></a>'
         f'<p class="what {variant.category}">{escape(short(variant))}</p>'
-        f'<p class="score"><span class="tier">{escape(best.tier)}</span> {_number(best.return_mean)}</p></li>'
+        f'<p class="score"><span class="tier">{escape(best.tier)}</span> '
+        f"{_format_number(best.return_mean)}</p></li>"
     )
 
 
 def short(variant: Variant) -> str:
-    """Return what a variant changes, in as few words as will do."""
+    """Return what a variant changes, in a few words."""
     if variant.category == BASE:
         return "unchanged"
     what = "range" if variant.category == "joint" else variant.category
-    return f"{what} of {variant.body} {_percent(variant.percent)}"
+    return f"{what} of {variant.body} {_format_percent(variant.percent)}"
 
 
-def _figure(entry: Entry, label: str) -> str:
+def _render_figure(entry: Entry, label: str) -> str:
     variant, clip = entry.variant, entry.clip
     moved_by = "its expert policy" if clip.tier == EXPERT else "random actions"
     ending = (
@@ -147,8 +150,8 @@ def _figure(entry: Entry, label: str) -> str:
         if clip.ended
         else f"the first {clip.seconds:.0f} s"
     )
-    missing = "" if clip.tier == EXPERT else " No expert policy is there for it yet."
-    words = f"Moved by {moved_by}: {ending}, return {_number(clip.total)}.{missing}"
+    missing = "" if clip.tier == EXPERT else " It has no expert policy yet."
+    words = f"Moved by {moved_by}: {ending}, return {_format_number(clip.total)}.{missing}"
     return (
         f'<figure><video controls muted loop playsinline preload="metadata" width="{SIZE[0]}" '
         f'height="{SIZE[1]}" poster="../portraits/{variant}.webp" '
@@ -160,25 +163,27 @@ def _figure(entry: Entry, label: str) -> str:
     )
 
 
-def _changes_table(changes: Sequence[Difference]) -> str:
+def _render_changes(changes: Sequence[Difference]) -> str:
     if not changes:
         return "<p>Nothing: this is the robot of Gymnasium&rsquo;s v5 environment.</p>"
     rows = (
         (
             escape(change.quantity),
-            _significant(change.before),
-            _significant(change.after),
+            _format_significant(change.before),
+            _format_significant(change.after),
             escape("" if change.unit == "1" else change.unit),
-            _percent_of(change),
+            _format_change(change),
         )
         for change in changes
     )
-    return _table("What changes, before and after", ("Quantity", "Base", "Variant", "Unit", "Change"), rows)
+    return _render_table(
+        "What changes, before and after", ("Quantity", "Base", "Variant", "Unit", "Change"), rows
+    )
 
 
-def _scores_table(entry: Entry, base: Entry | None) -> str:
+def _render_scores(entry: Entry, base: Entry | None) -> str:
     of_base = {score.tier: score for score in base.scores} if base is not None else {}
-    rows = (_score_row(entry.variant, score, of_base.get(score.tier)) for score in entry.scores)
+    rows = (_format_score_row(entry.variant, score, of_base.get(score.tier)) for score in entry.scores)
     columns = (
         "Tier",
         "Return",
@@ -189,14 +194,14 @@ def _scores_table(entry: Entry, base: Entry | None) -> str:
         "From",
         "Dataset",
     )
-    return _table("Policies and returns", columns, rows, text=("Policy", "From", "Dataset"))
+    return _render_table("Policies and returns", columns, rows, text=("Policy", "From", "Dataset"))
 
 
-def _score_row(variant: Variant, score: Score, base: Score | None) -> tuple[str, ...]:
+def _format_score_row(variant: Variant, score: Score, base: Score | None) -> tuple[str, ...]:
     return (
         escape(score.tier),
-        f"{_number(score.return_mean)} ± {_number(score.return_std)}",
-        DASH if base is None else _number(base.return_mean),
+        f"{_format_number(score.return_mean)} ± {_format_number(score.return_std)}",
+        DASH if base is None else _format_number(base.return_mean),
         f"{score.length_mean:.0f} steps",
         str(score.episodes),
         escape(score.algorithm if score.tier != RANDOM else "uniform actions"),
@@ -205,10 +210,17 @@ def _score_row(variant: Variant, score: Score, base: Score | None) -> tuple[str,
     )
 
 
-def _table(
+def _render_table(
     caption: str, columns: Sequence[str], rows: Iterable[Sequence[str]], text: Sequence[str] = ("Unit",)
 ) -> str:
-    """Return an HTML table; the first column heads its rows, the others are numbers but for ``text``."""
+    """Return an HTML table.
+
+    Args:
+        caption: caption of the table.
+        columns: names of the columns.
+        rows: cells of each row. The first cell is the row's header.
+        text: names of the columns that contain text. The other columns contain numbers.
+    """
 
     def kind(column: str) -> str:
         return "" if column in text else ' class="number"'
@@ -231,7 +243,7 @@ def _table(
     )
 
 
-def _code(title: str, text: str, language: str) -> str:
+def _render_code(title: str, text: str, language: str) -> str:
     return (
         f'<section class="code"><h3>{escape(title)} <span class="language">{escape(language)}</span></h3>'
         f'<button type="button" class="button copy" aria-label="Copy: {escape(title)}">Copy</button>'
@@ -239,41 +251,41 @@ def _code(title: str, text: str, language: str) -> str:
     )
 
 
-def _neighbour(variant: Variant | None, relation: str, label: str) -> str:
+def _render_neighbour_link(variant: Variant | None, relation: str, label: str) -> str:
     if variant is None:
         return "<span></span>"
     return f'<a rel="{relation}" href="{variant}.html">{label}: {variant}</a>'
 
 
-def _options(values: Iterable[tuple[str, str]]) -> str:
+def _render_options(values: Iterable[tuple[str, str]]) -> str:
     return "".join(f'<option value="{escape(value)}">{escape(label)}</option>' for value, label in values)
 
 
-def _plural(count: int, noun: str) -> str:
+def _format_count(count: int, noun: str) -> str:
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
-def _breakable(variant: Variant) -> str:
-    """Return an id that may break over lines where its parts meet."""
+def _add_break_points(variant: Variant) -> str:
+    """Return an id as HTML that can break between its parts."""
     return escape(str(variant)).replace("-", "-<wbr>").replace("_", "_<wbr>")
 
 
-def _percent(percent: float) -> str:
+def _format_percent(percent: float) -> str:
     return f"{percent:+.4g}{SPACE}%".replace("-", MINUS)
 
 
-def _percent_of(change: Difference) -> str:
-    return DASH if change.before == 0 else _percent(100 * (change.after / change.before - 1))
+def _format_change(change: Difference) -> str:
+    return DASH if change.before == 0 else _format_percent(100 * (change.after / change.before - 1))
 
 
-def _number(value: float) -> str:
+def _format_number(value: float) -> str:
     digits = 0 if abs(value) >= 100 else 1
     return f"{value:,.{digits}f}".replace("-", MINUS)
 
 
-def _significant(value: float) -> str:
+def _format_significant(value: float) -> str:
     return f"{value:.5g}".replace("-", MINUS)
 
 
-def _template(name: str) -> Template:
+def _load_template(name: str) -> Template:
     return Template((resources.files("imujoco_minari.pictures.gallery") / "site" / name).read_text("utf-8"))

@@ -1,6 +1,6 @@
-"""Figures of datasets beside the base robot's: returns, episode lengths, actions, observations.
+"""Figures that compare datasets with the base robot's: returns, episode lengths, actions, observations.
 
-One figure answers one question. The base robot's dataset of the same tier is the grey in each.
+Each figure answers one question. It shows the base robot's dataset of the same tier in grey.
 """
 
 from __future__ import annotations
@@ -34,21 +34,21 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 
 BINS = 60
-# Bins reach from the one to the other percentile: a fall's few extremes would flatten all the rest.
+# The bins cover the values between these percentiles. The few extremes of a fall would flatten the rest.
 PERCENTILES = (0.1, 99.9)
 COLUMNS = 4
 
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """One dataset as it is drawn.
+    """One dataset to draw.
 
     Attributes:
-        label: its id without namespace and version.
-        robot: which robot it is of.
-        tiers: of its episodes.
-        is_base: whether it is the unperturbed robot's.
-        data: its arrays.
+        label: id of the dataset without namespace and version.
+        robot: name of the robot.
+        tiers: tiers of its episodes.
+        is_base: whether all episodes are of the unchanged robot.
+        data: arrays of the dataset.
     """
 
     label: str
@@ -60,7 +60,7 @@ class Series:
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """One figure: the name of its files and what draws it."""
+    """One figure: the name of its files and the function that draws it."""
 
     name: str
     draw: Callable[[Sequence[Series]], Figure]
@@ -70,8 +70,8 @@ def load_series(dataset_id: str) -> Series:
     """Load a dataset for drawing.
 
     Raises:
-        DatasetNotFoundError: when the root holds no such dataset.
-        DatasetError: when its episodes are not of one robot of this package.
+        DatasetNotFoundError: if the root has no such dataset.
+        DatasetError: if its episodes are not all of one robot of this package.
     """
     data = arrays(dataset_id, dtype=np.float32)
     robots = sorted({origin.robot for origin in data.table})
@@ -87,7 +87,7 @@ def load_series(dataset_id: str) -> Series:
 
 
 def with_bases(series: Sequence[Series]) -> tuple[list[Series], list[str]]:
-    """Return the series after those of their base robots, and the ids of bases that are not published."""
+    """Return the series of base robots before the given ones, and the ids of missing base datasets."""
     wanted = dict.fromkeys(
         Variant(one.robot, BASE, 0, "").dataset_id(tier)
         for one in series
@@ -107,13 +107,14 @@ def plot_datasets(
     """Draw every figure of datasets of one robot into ``folder`` and return the files.
 
     Raises:
-        DatasetError: when they are of several robots.
-        DependencyError: when matplotlib is not installed.
+        DatasetError: if the datasets are of several robots.
+        DependencyError: if matplotlib is not installed.
+        StorageError: if a file cannot be written.
     """
     robots = sorted({one.robot for one in series})
     if len(robots) != 1:
         raise DatasetError(
-            f"plots compare datasets of one robot, not of {' and '.join(robots)}: plot them apart"
+            f"plots compare datasets of one robot, not of {' and '.join(robots)}: plot each robot separately"
         )
     files = []
     for question in QUESTIONS:
@@ -124,28 +125,32 @@ def plot_datasets(
 
 
 def draw_returns(series: Sequence[Series]) -> Figure:
-    """Draw what each dataset scores, a dot an episode."""
+    """Draw the return of each episode as a dot."""
     values = [one.data.returns for one in series]
-    return _rows(series, values, "What do the episodes score?", "undiscounted return of an episode (reward)")
+    return _draw_rows(
+        series, values, "What do the episodes score?", "undiscounted return of an episode (reward)"
+    )
 
 
 def draw_lengths(series: Sequence[Series]) -> Figure:
-    """Draw how long each dataset's episodes are, a dot an episode."""
+    """Draw the length of each episode as a dot."""
     values = [one.data.episode_lengths for one in series]
-    return _rows(series, values, "How long are the episodes?", "length of an episode (steps)")
+    return _draw_rows(series, values, "How long are the episodes?", "length of an episode (steps)")
 
 
 def draw_actions(series: Sequence[Series]) -> Figure:
-    """Draw how each action is distributed over all steps."""
+    """Draw the distribution of each action over all steps."""
     columns = [one.data.actions for one in series]
-    return _distributions(series, columns, action_quantities(series[0].robot), "How do the policies act?")
+    return _draw_distributions(
+        series, columns, action_quantities(series[0].robot), "How do the policies act?"
+    )
 
 
 def draw_observations(series: Sequence[Series]) -> Figure:
-    """Draw how each observation is distributed over all steps."""
+    """Draw the distribution of each observation over all steps."""
     columns = [one.data.observations for one in series]
     title = "Which states do the robots visit?"
-    return _distributions(series, columns, observation_quantities(series[0].robot), title)
+    return _draw_distributions(series, columns, observation_quantities(series[0].robot), title)
 
 
 QUESTIONS = (
@@ -156,8 +161,8 @@ QUESTIONS = (
 )
 
 
-def _rows(series: Sequence[Series], values: Sequence[Array], title: str, unit: str) -> Figure:
-    """Draw a row of dots a dataset, with its median and its quartiles."""
+def _draw_rows(series: Sequence[Series], values: Sequence[Array], title: str, unit: str) -> Figure:
+    """Draw one row of dots per dataset, with its median and its quartiles."""
     figure = new_figure(8.0, 1.3 + 0.36 * len(series), title)
     with settings():
         axes = figure.subplots()
@@ -179,10 +184,10 @@ def _rows(series: Sequence[Series], values: Sequence[Array], title: str, unit: s
     return figure
 
 
-def _distributions(
+def _draw_distributions(
     series: Sequence[Series], columns: Sequence[Array], quantities: Sequence[Quantity], title: str
 ) -> Figure:
-    """Draw a panel a column, with a line a dataset over the base robot's grey."""
+    """Draw one panel per column, with one line per dataset over the base robot's grey area."""
     across = min(COLUMNS, len(quantities))
     down = -(-len(quantities) // across)
     key = 0.25 * -(-len(series) // 2)
@@ -191,7 +196,7 @@ def _distributions(
         grid = figure.subplots(down, across, squeeze=False)
         for place, axes in enumerate(grid.flat):
             if place < len(quantities):
-                _distribution(axes, series, [column[:, place] for column in columns])
+                _draw_distribution(axes, series, [column[:, place] for column in columns])
                 axes.set_xlabel(str(quantities[place]))
                 axes.set_ylabel("share of steps (%)" if place % across == 0 else "")
             else:
@@ -201,7 +206,7 @@ def _distributions(
     return figure
 
 
-def _distribution(axes: Axes, series: Sequence[Series], values: Sequence[Array]) -> None:
+def _draw_distribution(axes: Axes, series: Sequence[Series], values: Sequence[Array]) -> None:
     bounds = np.array([np.percentile(numbers, PERCENTILES) for numbers in values])
     low, high = float(bounds[:, 0].min()), float(bounds[:, 1].max())
     if low == high:
@@ -209,7 +214,7 @@ def _distribution(axes: Axes, series: Sequence[Series], values: Sequence[Array])
     edges = np.linspace(low, high, BINS + 1)
     number = 0
     for one, numbers in zip(series, values, strict=True):
-        # What lies beyond counts in the last bins, so that no step is hidden.
+        # Values outside the bins count in the first or last bin, so no step is hidden.
         counts, _ = np.histogram(np.clip(numbers.astype(np.float64), low, high), edges)
         share = 100.0 * counts / len(numbers)
         if one.is_base:

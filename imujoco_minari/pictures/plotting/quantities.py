@@ -1,4 +1,4 @@
-"""What the columns of observations and actions are, and in which units, read off the model."""
+"""Names and units of the columns of observations and actions, read from the model."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from imujoco_minari.variants import BASE, Variant
 
 
 class Quantity(NamedTuple):
-    """A name and a unit."""
+    """The name and the unit of a column."""
 
     name: str
     unit: str
@@ -21,7 +21,7 @@ class Quantity(NamedTuple):
 
 
 def observation_quantities(robot: str) -> list[Quantity]:
-    """Return what each column of an observation is: positions without the distance run, then velocities."""
+    """Return the columns of an observation: positions without the travelled distance, then velocities."""
     model = compile_mjcf(canonical_mjcf(Variant(robot, BASE, 0, "")))
     hinges = [model.jnt_type[i] == mujoco.mjtJoint.mjJNT_HINGE for i in range(model.njnt)]
     names = [model.joint(i).name for i in range(model.njnt)]
@@ -37,7 +37,7 @@ def observation_quantities(robot: str) -> list[Quantity]:
 
 
 def action_quantities(robot: str) -> list[Quantity]:
-    """Return what each column of an action is: a torque, as a share of the motor's gear."""
+    """Return the columns of an action: torques as shares of the motor's gear."""
     model = compile_mjcf(canonical_mjcf(Variant(robot, BASE, 0, "")))
     return [
         Quantity(

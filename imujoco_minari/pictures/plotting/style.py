@@ -1,4 +1,4 @@
-"""How every figure looks and is written: colours that colour-blind people tell apart, PNG and SVG."""
+"""The style of all figures, with colours for colour-blind people too, and their PNG and SVG files."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from imujoco_minari.storage.files import whole_file
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Okabe and Ito's, without their black and their yellow, which white swallows.
+# Okabe and Ito's colours without black, and without yellow, which is hard to see on white.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
-# Lines differ by dash as well: colour is never the only difference between two.
+# Lines differ in their dashes too, so colour is never the only difference.
 DASHES = ("-", "--", ":", "-.")
 BASE_FILL, BASE_EDGE = "#c3c9d0", "#69727c"
 FORMATS = (".png", ".svg")
@@ -26,17 +26,22 @@ _SETTINGS: Any = {
     "figure.titlesize": 11.0,
     "legend.frameon": False,
     "savefig.dpi": 160,
-    # A figure drawn twice of the same data is the same file.
+    # The same data give the same file.
     "svg.hashsalt": "imujoco",
     "svg.fonttype": "none",
 }
 
 
 def new_figure(width: float, height: float, title: str) -> Figure:
-    """Return an empty figure of a size in inches, with its title.
+    """Return an empty figure with a title.
+
+    Args:
+        width: width in inches.
+        height: height in inches.
+        title: title of the figure.
 
     Raises:
-        DependencyError: when matplotlib is not installed.
+        DependencyError: if matplotlib is not installed.
     """
     try:
         from matplotlib import rc_context
@@ -50,17 +55,17 @@ def new_figure(width: float, height: float, title: str) -> Figure:
 
 
 def settings() -> Any:
-    """Return a context in which axes are made in the figures' style."""
+    """Return a context in which new axes have the style of the figures."""
     from matplotlib import rc_context
 
     return rc_context(_SETTINGS)
 
 
 def save(figure: Figure, stem: Path) -> list[Path]:
-    """Write a figure as ``stem.png`` and ``stem.svg`` and return the two.
+    """Write a figure to ``stem.png`` and ``stem.svg`` and return both paths.
 
     Raises:
-        StorageError: when they cannot be written.
+        StorageError: if a file cannot be written.
     """
     written = []
     for ending in FORMATS:
@@ -73,7 +78,7 @@ def save(figure: Figure, stem: Path) -> list[Path]:
 
 
 def line_style(number: int) -> dict[str, Any]:
-    """Return colour and dash of the ``number``-th line."""
+    """Return the colour and the dashes of line ``number``, counted from 0."""
     return {
         "color": COLOURS[number % len(COLOURS)],
         "linestyle": DASHES[number % len(DASHES)],

@@ -1,4 +1,4 @@
-"""The transfer matrix as a heat map: a row a policy, a column a variant, grouped by category."""
+"""The transfer matrix as a heat map: one row per policy, one column per variant, grouped by category."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Up to here the numbers stand in the cells; beyond, they would not be read.
+# Up to this number of rows and columns the cells show numbers. In larger figures they are not readable.
 NUMBERED = 12
-# Inches a cell, and what labels and colour bar need beside and below.
-CELL, BESIDE, BELOW = 0.24, 3.4, 3.0
+# Size in inches of a cell, and of the space for labels and colour bar at the side and below.
+CELL, SIDE, BELOW = 0.24, 3.4, 3.0
 
 
 def plot_transfer(transfer: Transfer, stem: Path) -> list[Path]:
-    """Draw a transfer into ``stem.png`` and ``stem.svg`` and return the two.
+    """Draw a transfer into ``stem.png`` and ``stem.svg`` and return both paths.
 
     Raises:
-        DependencyError: when matplotlib is not installed.
-        StorageError: when they cannot be written.
+        DependencyError: if matplotlib is not installed.
+        StorageError: if a file cannot be written.
     """
     return save(draw_transfer(transfer), stem)
 
@@ -39,32 +39,34 @@ def draw_transfer(transfer: Transfer) -> Figure:
     numbered = max(returns.shape) <= NUMBERED
     cell = 2 * CELL if numbered else CELL
     figure = new_figure(
-        BESIDE + cell * returns.shape[1],
+        SIDE + cell * returns.shape[1],
         BELOW + cell * returns.shape[0],
-        f"How do the policies of {transfer.variants[0].robot} fare on variants they were not made for?",
+        f"How do the policies of {transfer.variants[0].robot} score on other variants?",
     )
     with settings():
         axes = figure.subplots()
-        # Viridis is read by all eyes and in grey.
+        # Viridis is readable for colour-blind people and in grey.
         image = axes.imshow(returns, cmap="viridis", aspect="auto", interpolation="nearest")
         bar = figure.colorbar(image, ax=axes, pad=0.01, fraction=0.05, aspect=30)
         bar.set_label("mean undiscounted return (reward)")
-        axes.set_xticks(range(len(transfer.variants)), [_short(v) for v in transfer.variants], rotation=90)
-        axes.set_yticks(range(len(transfer.policies)), [_row(name) for name in transfer.policies])
+        axes.set_xticks(
+            range(len(transfer.variants)), [_column_label(v) for v in transfer.variants], rotation=90
+        )
+        axes.set_yticks(range(len(transfer.policies)), [_row_label(name) for name in transfer.policies])
         axes.set_xlabel("evaluated on the variant; circle: the policy's own")
         axes.set_ylabel("policy trained on")
         axes.tick_params(length=0)
         for spine in axes.spines.values():
             spine.set_visible(False)
-        _group(axes, transfer)
-        _mark_home(axes, transfer)
+        _separate_categories(axes, transfer)
+        _mark_own_variants(axes, transfer)
         if numbered:
-            _number(axes, returns)
+            _write_numbers(axes, returns)
     return figure
 
 
-def _group(axes: Axes, transfer: Transfer) -> None:
-    """Part columns and rows by category, with its name above each part of the columns."""
+def _separate_categories(axes: Axes, transfer: Transfer) -> None:
+    """Separate the categories by lines and write their names above the columns."""
     start = 0
     for category, members in groupby(transfer.variants, key=lambda variant: variant.category):
         end = start + len(list(members))
@@ -78,8 +80,8 @@ def _group(axes: Axes, transfer: Transfer) -> None:
             axes.axhline(row - 0.5, color="white", linewidth=2.5)
 
 
-def _mark_home(axes: Axes, transfer: Transfer) -> None:
-    """Dot the cells of policies on the variants that they were made for."""
+def _mark_own_variants(axes: Axes, transfer: Transfer) -> None:
+    """Mark the cell of each policy on the variant that it was trained on."""
     places = [
         (column, row)
         for row, policy in enumerate(transfer.policies)
@@ -91,24 +93,24 @@ def _mark_home(axes: Axes, transfer: Transfer) -> None:
         axes.plot(x, y, "o", color="white", markeredgecolor="black", markersize=3.5, markeredgewidth=0.6)
 
 
-def _number(axes: Axes, returns: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> None:
+def _write_numbers(axes: Axes, returns: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> None:
     middle = (returns.min() + returns.max()) / 2
     for (row, column), value in np.ndenumerate(returns):
         ink = "black" if value > middle else "white"
         axes.text(column, row + 0.32, f"{value:.0f}", ha="center", va="center", color=ink, fontsize=6.5)
 
 
-def _short(variant: Variant) -> str:
+def _column_label(variant: Variant) -> str:
     return f"{variant.body} {variant.percent:+d} %" if variant.body else "base"
 
 
-def _row(name: str) -> str:
-    """Return how a policy is called at its row: a variant without its robot, which the title names."""
+def _row_label(name: str) -> str:
+    """Return the label of a policy's row. The robot is in the title, so it is removed from a variant."""
     return name.partition("-")[2] if _category(name) else name
 
 
 def _category(name: str) -> str:
-    """Return the category of the variant that a policy is named after, if it is."""
+    """Return the category of the variant that a policy is named after, or an empty string."""
     try:
         return Variant.parse(name).category
     except VariantError:

@@ -18,19 +18,19 @@ from imujoco_minari.pictures.rendering.studio import Studio
 
 __all__ = ["Motion", "Studio", "frame_steps", "perform", "render_motions", "replay"]
 
-# A GIF stores every changed pixel, and few viewers keep up with more.
+# A GIF stores every changed pixel, and few viewers can show more frames per second.
 GIF_FRAMES_PER_SECOND = 12.5
 
 
 def frame_steps(motions: Sequence[Motion], path: Path, *, sheet: bool = False) -> list[int]:
-    """Return the step numbers whose pictures :func:`render_motions` puts into the file ``path``."""
+    """Return the steps that :func:`render_motions` draws into the file ``path``."""
     ending = check_format(path)
     longest = max(len(motion.positions) for motion in motions)
     if sheet:
         return sheet_steps(longest)
     if ending == ".png":
         return [(longest - 1) // 2]
-    return list(range(0, longest, pace(motions, _rate(path)).stride))
+    return list(range(0, longest, pace(motions, _frame_rate(path)).stride))
 
 
 def render_motions(
@@ -41,30 +41,35 @@ def render_motions(
     sheet: bool = False,
     on_frame: Callable[[], None] | None = None,
 ) -> None:
-    """Draw motions side by side into the file ``path``: a video, the middle of it, or a contact sheet.
+    """Draw motions side by side into a file: a video, its middle frame, or a contact sheet.
 
     Args:
-        motions: of variants of one robot; all are seen from one distance.
-        path: ends in ``.mp4``, ``.gif`` or ``.png``.
+        motions: motions of variants of one robot. The cameras have the same distance.
+        path: the file. It must end in ``.mp4``, ``.gif`` or ``.png``; ``.png`` is the middle frame.
         size: width and height of one motion's picture, in pixels.
-        sheet: write a contact sheet, into a ``.png``.
+        sheet: write a contact sheet. ``path`` must end in ``.png``.
         on_frame: called after each picture.
 
     Raises:
-        RenderingError: when there is no OpenGL to draw with.
-        StorageError: when the file cannot be written.
-        DependencyError: when what writes an ``.mp4`` is not installed.
+        RenderingError: if no OpenGL works or the ending is not valid.
+        StorageError: if the file cannot be written.
+        DependencyError: if ``imageio-ffmpeg``, which writes ``.mp4``, is not installed.
+
+    Example:
+        >>> variant = Variant.parse("hopper-massdec_25_leggeom")
+        >>> motion = perform(variant, load_policy(variant), seconds=2.0)
+        >>> render_motions([motion], Path("hopper.gif"))
     """
     steps = frame_steps(motions, path, sheet=sheet)
     with Studio(*size) as studio:
         pictures = frames(motions, studio, steps, on_frame=on_frame)
         if path.suffix.lower() != ".png":
-            write_video(path, pictures, pace(motions, _rate(path)).per_second)
+            write_video(path, pictures, pace(motions, _frame_rate(path)).per_second)
         elif sheet:
             write_picture(path, contact_sheet(list(pictures)))
         else:
             write_picture(path, next(pictures))
 
 
-def _rate(path: Path) -> float:
+def _frame_rate(path: Path) -> float:
     return GIF_FRAMES_PER_SECOND if path.suffix.lower() == ".gif" else FRAMES_PER_SECOND

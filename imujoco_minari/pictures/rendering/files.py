@@ -1,4 +1,4 @@
-"""Frames into files: MP4 by the ffmpeg that ``imageio-ffmpeg`` brings, GIF and PNG by Pillow."""
+"""Writes pictures and videos to files: MP4 with the ffmpeg of ``imageio-ffmpeg``, GIF and PNG with Pillow."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ def check_format(path: Path) -> str:
     """Return the lower-case ending of ``path``.
 
     Raises:
-        RenderingError: when nothing is written in that format.
-        DependencyError: when what writes it is not installed.
+        RenderingError: if the ending is not one of :data:`FORMATS`.
+        DependencyError: if ``imageio-ffmpeg``, which writes ``.mp4``, is not installed.
     """
     ending = path.suffix.lower()
     if ending not in FORMATS:
@@ -42,13 +42,13 @@ def write_video(
     """Write pictures of one size as an ``.mp4`` (H.264) or a ``.gif``.
 
     Args:
-        path: the file; its folder is made.
-        pictures: at least one; of even width and height for ``.mp4``, else a row or column is cut off.
-        per_second: frames a second.
-        quality: H.264's constant rate factor, lower is better and larger.
+        path: the file. Its folder is created if it does not exist.
+        pictures: at least one picture. For ``.mp4``, an odd width or height is cut by one pixel.
+        per_second: frames per second.
+        quality: constant rate factor of H.264. A lower value is a better picture and a larger file.
 
     Raises:
-        StorageError: when the file cannot be written.
+        StorageError: if the file cannot be written.
     """
     ending = check_format(path)
     with whole_file(path) as partial:
@@ -59,10 +59,10 @@ def write_video(
 
 
 def write_picture(path: Path, picture: Image.Image) -> None:
-    """Write one picture, in the format of the path's ending.
+    """Write one picture in the format of the path's ending.
 
     Raises:
-        StorageError: when the file cannot be written.
+        StorageError: if the file cannot be written.
     """
     with whole_file(path) as partial:
         picture.save(partial, optimize=True)
@@ -72,7 +72,7 @@ def _write_mp4(path: Path, pictures: Iterator[Image.Image], per_second: float, q
     import imageio_ffmpeg
 
     first = next(pictures)
-    # H.264's usual colour format halves the resolution of colour, so it takes even sizes only.
+    # H.264's usual colour format halves the resolution of colour, so it requires even sizes.
     width, height = first.width // 2 * 2, first.height // 2 * 2
     writer = imageio_ffmpeg.write_frames(
         str(path),
@@ -93,7 +93,7 @@ def _write_mp4(path: Path, pictures: Iterator[Image.Image], per_second: float, q
 
 def _write_gif(path: Path, pictures: Iterator[Image.Image], per_second: float) -> None:
     drawn = list(pictures)
-    # One palette for all frames: a palette a frame flickers and doubles the size.
+    # All frames share one palette. One palette per frame flickers and doubles the size.
     few = drawn[:: max(1, len(drawn) // 4)]
     sample = Image.new("RGB", (few[0].width, few[0].height * len(few)))
     for number, picture in enumerate(few):

@@ -1,4 +1,4 @@
-"""Motions side by side, with a caption each: the frames of a video, or a contact sheet of them."""
+"""Frames of motions side by side, with captions, for a video or a contact sheet."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from imujoco_minari.variants import BASE, Variant
 
 FRAMES_PER_SECOND = 25.0
 INK, FAINT, PAPER = (28, 32, 38), (96, 104, 114), (255, 255, 255)
-# Pixels between two panels, and the heights of caption and text as shares of a panel's height.
+# The gap between two panels in pixels, and the heights of caption and text as shares of a panel's height.
 GAP, CAPTION, TEXT = 4, 0.125, 0.045
-# Pictures on a contact sheet.
+# Number of pictures on a contact sheet.
 SHEET = 12
 
 
 @dataclass(frozen=True)
 class Pace:
-    """How a motion becomes frames: every ``stride``-th step, so that time runs as it did.
+    """The frame rate of a motion in real time: every ``stride``-th step is a frame.
 
     Attributes:
         stride: environment steps between two frames.
-        per_second: frames a second.
+        per_second: frames per second.
     """
 
     stride: int
@@ -37,7 +37,7 @@ class Pace:
 
 
 def pace(motions: Sequence[Motion], per_second: float = FRAMES_PER_SECOND) -> Pace:
-    """Return the pace nearest to ``per_second`` at which time runs true."""
+    """Return the real-time pace that is nearest to ``per_second`` frames per second."""
     timestep = motions[0].timestep
     stride = max(1, round(1.0 / (per_second * timestep)))
     return Pace(stride, 1.0 / (stride * timestep))
@@ -57,34 +57,41 @@ def frames(
     captions: bool = True,
     on_frame: Callable[[], None] | None = None,
 ) -> Iterator[Image.Image]:
-    """Yield a picture of all motions side by side for each step number in ``steps``, which rise.
+    """Yield a picture of all motions side by side for each step.
 
-    A motion that is over before a step stands still, and its caption says when it ended.
+    A motion that ended before a step shows its last position, and its caption shows the time of the end.
+
+    Args:
+        motions: the motions.
+        studio: the renderer.
+        steps: numbers of the environment steps to draw, in ascending order.
+        captions: write a caption over each panel.
+        on_frame: called after each picture.
     """
     panels = [
-        _panel(motion, camera, studio, steps, captions)
+        _draw_panel(motion, camera, studio, steps, captions)
         for motion, camera in zip(motions, cameras(motions, studio), strict=True)
     ]
     for pictures in zip(*panels, strict=True):
-        picture = _beside(pictures)
+        picture = _join_side_by_side(pictures)
         if on_frame is not None:
             on_frame()
         yield picture
 
 
 def sheet_steps(positions: int, count: int = SHEET) -> list[int]:
-    """Return ``count`` step numbers, evenly spaced from the first of ``positions`` to the last."""
+    """Return at most ``count`` step numbers, evenly spaced from the first position to the last."""
     return [int(step) for step in np.unique(np.linspace(0, positions - 1, count).round())]
 
 
 def contact_sheet(pictures: Sequence[Image.Image]) -> Image.Image:
-    """Return a contact sheet: four pictures a row, or two where each shows two robots."""
+    """Return a contact sheet with four pictures per row, or with two if each shows two robots."""
     wide = pictures[0].width > 2 * pictures[0].height
     return grid(pictures, 2 if wide else 4)
 
 
 def grid(pictures: Sequence[Image.Image], columns: int) -> Image.Image:
-    """Return pictures of one size in rows of ``columns``, on white."""
+    """Return one picture with pictures of equal size in rows of ``columns``, on white."""
     columns = min(columns, len(pictures))
     rows = -(-len(pictures) // columns)
     width, height = pictures[0].size
@@ -104,15 +111,15 @@ def change(variant: Variant) -> str:
 
 
 def caption_height(height: int) -> int:
-    """Return the height of the caption over a panel of ``height``, in pixels, even as video wants it."""
+    """Return the height in pixels of the caption over a panel. It is even, as video codecs require."""
     return 2 * round(height * CAPTION / 2)
 
 
-def _panel(
+def _draw_panel(
     motion: Motion, camera: Camera, studio: Studio, steps: Sequence[int], captions: bool
 ) -> Iterator[Image.Image]:
     last = len(motion.positions) - 1
-    # A motion that is over is drawn once more, not once a frame.
+    # The last position of an ended motion is drawn once and repeated.
     moving = [step for step in steps if step < last]
     shown = moving + [last] * (len(steps) > len(moving))
     places = Camera(camera.lookat[shown], camera.distance)
@@ -132,7 +139,14 @@ def _panel(
 
 
 def captioned(picture: Image.Image, variant: Variant, title: str = "", state: str = "") -> Image.Image:
-    """Return a picture under a caption: the variant, what it changes, and at the right what is given."""
+    """Return a picture with a caption above it.
+
+    Args:
+        picture: the picture.
+        variant: the variant. Its id and what it changes are on the left.
+        title: upper text on the right.
+        state: lower text on the right.
+    """
     strip, size = caption_height(picture.height), picture.height * TEXT
     whole = Image.new("RGB", (picture.width, picture.height + strip), PAPER)
     whole.paste(picture, (0, strip))
@@ -145,12 +159,12 @@ def captioned(picture: Image.Image, variant: Variant, title: str = "", state: st
         (above, str(variant), INK, title, FAINT),
         (below, change(variant), ink, state, INK),
     ):
-        width = _write(draw, (margin, height), left_text, left_ink, size, room)
-        _write(draw, (right, height), right_text, right_ink, size * 0.85, room - width, right=True)
+        width = _write_line(draw, (margin, height), left_text, left_ink, size, room)
+        _write_line(draw, (right, height), right_text, right_ink, size * 0.85, room - width, right=True)
     return whole
 
 
-def _write(
+def _write_line(
     draw: ImageDraw.ImageDraw,
     place: tuple[float, float],
     text: str,
@@ -160,7 +174,7 @@ def _write(
     *,
     right: bool = False,
 ) -> float:
-    """Write a line, smaller where ``room`` pixels would not hold it, and return its width."""
+    """Write a line, smaller if it is wider than ``room`` pixels, and return its width in pixels."""
     font = ImageFont.load_default(size)
     width = draw.textlength(text, font=font)
     if width > room > 0:
@@ -170,7 +184,7 @@ def _write(
     return width + size
 
 
-def _beside(pictures: Sequence[Image.Image]) -> Image.Image:
+def _join_side_by_side(pictures: Sequence[Image.Image]) -> Image.Image:
     if len(pictures) == 1:
         return pictures[0]
     width = sum(picture.width for picture in pictures) + GAP * (len(pictures) - 1)

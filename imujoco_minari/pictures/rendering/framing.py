@@ -1,7 +1,7 @@
-"""Where the camera stands, so that the whole robot is in every picture and stays there.
+"""Position of the camera: the complete robot is visible in every picture.
 
-Needs no OpenGL: the robots are made of capsules, and a capsule is in the picture when its two ends,
-each with the radius around it, are. The distance that this takes has a closed form.
+This module needs no OpenGL. The robots consist of capsules, and a capsule is visible if the spheres at its
+two ends are. The distance of the camera follows from them in closed form.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-# From a little in front of and above the robots' plane, so that a far leg shows behind a near one.
+# Degrees. The camera looks slightly from the front and from vertical, so a far leg shows behind a near one.
 AZIMUTH, ELEVATION = 104.0, -11.0
 FIELD_OF_VIEW = 30.0
-# Share of the half picture that the robot may fill.
+# Share of the picture that the robot may fill.
 FILL = 0.9
-# Seconds over which the camera's way is averaged: it follows the robot, not its every jerk.
+# Seconds over which the camera's path is averaged, so it follows the robot smoothly.
 SMOOTHING = 0.5
 
 
@@ -29,8 +29,8 @@ class Capsules:
     """The ends of all capsules of a robot along a motion.
 
     Attributes:
-        ends: of shape (frames, ends, 3), in metres.
-        radii: of shape (ends,), in metres.
+        ends: positions of the ends in m, of shape (frames, ends, 3).
+        radii: radius at each end in m, of shape (ends,).
     """
 
     ends: Floats
@@ -38,24 +38,24 @@ class Capsules:
 
     @property
     def middle(self) -> Floats:
-        """The middle (m) of the robot's extent along x, of shape (frames,)."""
+        """The middle of the robot's extent along x in m, of shape (frames,)."""
         low = (self.ends[:, :, 0] - self.radii).min(axis=1)
         high = (self.ends[:, :, 0] + self.radii).max(axis=1)
         return np.asarray((low + high) / 2)
 
     @property
     def top(self) -> float:
-        """The highest point (m) of the motion."""
+        """The height of the highest point of the motion, in m."""
         return float((self.ends[:, :, 2] + self.radii).max())
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A camera that looks at one point a frame from one distance.
+    """A camera that looks at one point per frame, from a constant distance.
 
     Attributes:
-        lookat: of shape (frames, 3), in metres.
-        distance: from that point, in metres.
+        lookat: the points in m, of shape (frames, 3).
+        distance: distance from the points, in m.
     """
 
     lookat: Floats
@@ -72,7 +72,7 @@ class Camera:
 
 
 def axes() -> tuple[Floats, Floats, Floats]:
-    """Return the camera's right, up and forward unit vectors in the world, by MuJoCo's angles."""
+    """Return the camera's right, up and forward unit vectors in world coordinates."""
     azimuth, elevation = np.radians(AZIMUTH), np.radians(ELEVATION)
     forward = np.array(
         [
@@ -86,7 +86,7 @@ def axes() -> tuple[Floats, Floats, Floats]:
 
 
 def capsules(model: mujoco.MjModel, positions: Floats) -> Capsules:
-    """Return the robot's capsules along ``positions`` (frames, nq)."""
+    """Return the robot's capsules for ``positions`` of shape (frames, nq)."""
     data = mujoco.MjData(model)
     chosen = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE)
     radii, halves = model.geom_size[chosen, 0], model.geom_size[chosen, 1]
@@ -101,7 +101,7 @@ def capsules(model: mujoco.MjModel, positions: Floats) -> Capsules:
 
 
 def follow(motions: Sequence[Capsules], aspect: float, frame_seconds: float) -> list[Camera]:
-    """Return a camera for each motion, all at one distance and height, so that sizes compare.
+    """Return a camera for each motion. All have one distance and height, so sizes can be compared.
 
     Args:
         motions: capsules along each motion.
@@ -111,24 +111,26 @@ def follow(motions: Sequence[Capsules], aspect: float, frame_seconds: float) -> 
     height = max(motion.top for motion in motions) / 2
     lookats = []
     for motion in motions:
-        way = _smooth(motion.middle, round(SMOOTHING / frame_seconds))
-        lookats.append(np.stack([way, np.zeros_like(way), np.full_like(way, height)], axis=-1))
-    distance = max(_distance(motion, lookat, aspect) for motion, lookat in zip(motions, lookats, strict=True))
+        path = _moving_average(motion.middle, round(SMOOTHING / frame_seconds))
+        lookats.append(np.stack([path, np.zeros_like(path), np.full_like(path, height)], axis=-1))
+    distance = max(
+        _fitting_distance(motion, lookat, aspect) for motion, lookat in zip(motions, lookats, strict=True)
+    )
     return [Camera(lookat, distance) for lookat in lookats]
 
 
-def _distance(motion: Capsules, lookat: Floats, aspect: float) -> float:
-    """Return the smallest distance (m) from which all ends, with their radii, are in all pictures."""
+def _fitting_distance(motion: Capsules, lookat: Floats, aspect: float) -> float:
+    """Return the smallest distance in m from which all capsules are visible in all frames."""
     right, up, forward = axes()
     relative = motion.ends - lookat[:, None, :]
     tangent = FILL * np.tan(np.radians(FIELD_OF_VIEW) / 2)
-    beside = (np.abs(relative @ right) + motion.radii) / (tangent * aspect)
-    above = (np.abs(relative @ up) + motion.radii) / tangent
-    return float((np.maximum(beside, above) - relative @ forward + motion.radii).max())
+    horizontal = (np.abs(relative @ right) + motion.radii) / (tangent * aspect)
+    vertical = (np.abs(relative @ up) + motion.radii) / tangent
+    return float((np.maximum(horizontal, vertical) - relative @ forward + motion.radii).max())
 
 
-def _smooth(values: Floats, window: int) -> Floats:
-    """Return the moving average of ``values``; beyond the ends they go on as they begin and end."""
+def _moving_average(values: Floats, window: int) -> Floats:
+    """Return the moving average of ``values``, which are extended by odd reflection at both ends."""
     half = min(window // 2, len(values) - 1)
     padded = np.pad(values, half, mode="reflect", reflect_type="odd")
     return np.convolve(padded, np.full(2 * half + 1, 1 / (2 * half + 1)), mode="valid")

@@ -1,8 +1,7 @@
-"""Which OpenGL draws off-screen: EGL, else OSMesa, found by trying.
+"""Choice of the OpenGL platform for off-screen rendering: EGL, or else OSMesa.
 
-MuJoCo reads ``MUJOCO_GL`` when it is imported, which may long have happened, and PyOpenGL settles on
-one platform a process. So a candidate is tried in a process of its own, and the context is then made
-from MuJoCo's own module for it, whatever was imported before.
+MuJoCo reads ``MUJOCO_GL`` once, when it is imported, and PyOpenGL uses one platform per process. So a
+candidate is tried in a child process, and the context is made by MuJoCo's module for that candidate.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from typing import Any
 
 from imujoco_minari.errors import RenderingError
 
-# In order of preference, with the shared library that must load before a trial is worth its second.
+# In order of preference, with its shared library. A trial takes a second and is skipped without the library.
 LIBRARIES = {"egl": "libEGL.so.1", "osmesa": "libOSMesa.so.8"}
 PACKAGES = {"egl": "libegl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
 
@@ -34,13 +33,13 @@ _TRIAL_SECONDS = 60
 
 @cache
 def backend() -> str:
-    """Return ``egl``, ``osmesa``, or ``native`` for what MuJoCo uses by itself on other systems.
+    """Return ``egl``, ``osmesa``, or ``native`` for MuJoCo's own choice on other systems.
 
-    ``MUJOCO_GL`` and ``PYOPENGL_PLATFORM``, where the user has set them, decide. The choice is written
-    to ``MUJOCO_GL``, so that an environment that renders by itself makes the same one.
+    ``MUJOCO_GL`` and ``PYOPENGL_PLATFORM`` decide if the user has set them. The choice is written to
+    ``MUJOCO_GL``, so environments that render make the same choice.
 
     Raises:
-        RenderingError: when none works, with the system packages that bring one.
+        RenderingError: if none works. The message names the system packages to install.
     """
     asked = os.environ.get("MUJOCO_GL", "").lower()
     if sys.platform != "linux" or (asked and asked not in LIBRARIES):
@@ -51,36 +50,40 @@ def backend() -> str:
             os.environ["MUJOCO_GL"] = candidate
             return candidate
     raise RenderingError(
-        f"no OpenGL to draw off-screen with: tried {' and '.join(candidates)}. Install Mesa's; on Debian and "
+        f"no OpenGL for off-screen rendering: tried {' and '.join(candidates)}. Install Mesa; on Debian and "
         + "Ubuntu: "
         + ", or ".join(f"`apt-get install {PACKAGES[candidate]}`" for candidate in candidates)
     )
 
 
 def new_context(width: int, height: int) -> Any:
-    """Make an OpenGL context that draws off-screen, and make it the current one.
+    """Make an off-screen OpenGL context and make it current.
+
+    Args:
+        width: width of the pictures, in pixels.
+        height: height of the pictures, in pixels.
 
     Raises:
-        RenderingError: when no context can be made.
+        RenderingError: if no context can be made.
     """
     name = backend()
     try:
         module = import_module("mujoco.gl_context" if name == "native" else f"mujoco.{name}")
         context = module.GLContext(width, height)
         context.make_current()
-    except Exception as error:  # PyOpenGL and MuJoCo raise whatever a missing driver makes them stumble on
+    except Exception as error:  # a missing driver causes many kinds of errors in PyOpenGL and MuJoCo
         raise RenderingError(f"{name} cannot make an OpenGL context of {width}x{height}: {error}") from None
     return context
 
 
 def _candidates() -> list[str]:
-    """Return the platforms that this process can still take: PyOpenGL takes one, once."""
+    """Return the platforms that this process can still use. PyOpenGL chooses one per process."""
     taken = os.environ.get("PYOPENGL_PLATFORM", "").lower()
     return [taken] if taken in LIBRARIES else list(LIBRARIES)
 
 
 def _works(candidate: str) -> bool:
-    """Return whether a process of its own can make a context: a broken driver may take the process down."""
+    """Return whether a child process can make a context. A broken driver may crash the process."""
     try:
         ctypes.CDLL(LIBRARIES[candidate])
     except OSError:

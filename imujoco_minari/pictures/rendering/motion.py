@@ -1,6 +1,6 @@
-"""What is drawn: the positions that a robot goes through in an episode.
+"""Motions: the positions of a robot during an episode.
 
-They come out of the variant's own environment; no picture simulates anything by itself.
+They come from the variant's own environment. Rendering does not simulate anything.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """One episode as positions.
+    """The positions of a robot during one episode.
 
     Attributes:
         variant: the robot that moves.
@@ -46,16 +46,16 @@ class Motion:
 
     @property
     def duration(self) -> float:
-        """Simulated seconds."""
+        """Duration in simulated seconds."""
         return len(self.rewards) * self.timestep
 
     @property
     def total(self) -> float:
-        """Undiscounted return."""
+        """The undiscounted return."""
         return float(self.rewards.sum())
 
     def until(self, seconds: float | None) -> Motion:
-        """Return the first ``seconds`` of it, or all of it."""
+        """Return the first ``seconds`` of the motion, or all of it for None."""
         steps = len(self.rewards) if seconds is None else max(1, round(seconds / self.timestep))
         if steps >= len(self.rewards):
             return self
@@ -65,7 +65,7 @@ class Motion:
 
 
 class PositionRecorder(gym.Wrapper[Any, Any, Any, Any]):
-    """Keeps the positions, rewards and the last flags of the present episode."""
+    """A wrapper that records the positions, the rewards and the termination of the present episode."""
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         super().__init__(env)
@@ -74,13 +74,13 @@ class PositionRecorder(gym.Wrapper[Any, Any, Any, Any]):
         self.terminated = False
 
     def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode and forget the one before."""
+        """Begin an episode and discard the previous one."""
         result = self.env.reset(**kwargs)
         self.positions, self.rewards, self.terminated = [self._position()], [], False
         return result
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step, and keep where that leads."""
+        """Step the environment and record the new position."""
         result = self.env.step(action)
         self.positions.append(self._position())
         self.rewards.append(float(result[1]))
@@ -88,7 +88,7 @@ class PositionRecorder(gym.Wrapper[Any, Any, Any, Any]):
         return result
 
     def motion(self, variant: Variant, title: str, divergence: float = 0.0) -> Motion:
-        """Return the present episode."""
+        """Return the motion of the present episode."""
         return Motion(
             variant,
             np.array(self.positions),
@@ -107,8 +107,16 @@ class PositionRecorder(gym.Wrapper[Any, Any, Any, Any]):
 def perform(
     variant: Variant, policy: Policy, *, seed: int = 0, seconds: float | None = None, title: str = ""
 ) -> Motion:
-    """Return an episode of ``policy`` on ``variant``, at most ``seconds`` of it."""
-    recorder = PositionRecorder(make(variant, max_episode_steps=_steps(variant, seconds)))
+    """Roll a policy out in a variant and return the motion.
+
+    Args:
+        variant: the variant.
+        policy: chooses the actions.
+        seed: seed of the episode.
+        seconds: maximal length in simulated seconds; None for a complete episode.
+        title: title of the motion; empty for the policy's algorithm.
+    """
+    recorder = PositionRecorder(make(variant, max_episode_steps=_max_steps(variant, seconds)))
     try:
         roll_out(recorder, policy, seed)
         return recorder.motion(variant, title or f"{policy.algorithm} policy")
@@ -116,7 +124,7 @@ def perform(
         recorder.close()
 
 
-def _steps(variant: Variant, seconds: float | None) -> int:
+def _max_steps(variant: Variant, seconds: float | None) -> int:
     if seconds is None:
         return MAX_EPISODE_STEPS
     return max(1, min(MAX_EPISODE_STEPS, round(seconds / timestep(variant))))

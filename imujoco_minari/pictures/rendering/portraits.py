@@ -1,4 +1,4 @@
-"""Variants standing still in one stance, so that they can be compared at a glance."""
+"""Portraits: pictures of variants that stand in the same stance, for comparison."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from imujoco_minari.variants import Variant, specification
 
 
 def stance(variant: Variant) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """Return the positions of ``variant`` in its robot's stance, its lowest point on the floor.
+    """Return the positions (nq,) of a variant in its robot's stance, with its lowest point on the floor.
 
-    A joint whose range the variant narrows is bent as far as it goes.
+    Angles are clipped to the ranges of the variant's joints.
     """
     model = compile_mjcf(canonical_mjcf(variant))
     data, page = mujoco.MjData(model), specification(variant.robot)
@@ -33,7 +33,7 @@ def stance(variant: Variant) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
 
 
 def portraits(variants: Sequence[Variant], studio: Studio) -> list[Image.Image]:
-    """Return a portrait of each variant, all seen from one distance."""
+    """Return a portrait of each variant. The cameras have the same distance."""
     positions = [stance(variant) for variant in variants]
     seen = [
         capsules(studio.model(variant), position[None])
@@ -47,7 +47,12 @@ def portraits(variants: Sequence[Variant], studio: Studio) -> list[Image.Image]:
 
 
 def poster(rows: Sequence[Sequence[Variant]], size: tuple[int, int]) -> Image.Image:
-    """Return one picture of rows of variants, each captioned, each row seen from a distance of its own."""
+    """Return one picture with rows of captioned variants. Each row has its own camera distance.
+
+    Args:
+        rows: rows of variants, each row of one robot.
+        size: width and height of a portrait, in pixels.
+    """
     with Studio(*size) as studio:
         cells = [
             captioned(picture, variant)

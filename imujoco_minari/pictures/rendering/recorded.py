@@ -1,4 +1,4 @@
-"""The motion of a recorded episode: replayed from its seed and actions, or read off its observations.
+"""The motion of a recorded episode: replayed from its seed and actions, or read from its observations.
 
 Most episodes are reset with their recorded seed and stepped by their recorded actions, as verification
 does. Imported episodes have no seeds. Their observations hold all positions but the distance run, which
@@ -30,7 +30,7 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """One episode as a dataset has it.
+    """One recorded episode.
 
     Attributes:
         dataset_id: the dataset.
@@ -58,14 +58,14 @@ class Recorded:
 
     @property
     def title(self) -> str:
-        """What made it move, in a few words."""
+        """Tier and number of the episode, for a caption."""
         return f"{self.tier}, episode {self.number}"
 
     def motion(self) -> Motion:
-        """Return the episode as positions: replayed where its seed is known, else as observed."""
-        return self._observed() if self.seed is None else self._replayed()
+        """Return the positions of the episode: replayed if its seed is known, or else as observed."""
+        return self._from_observations() if self.seed is None else self._replay()
 
-    def _replayed(self) -> Motion:
+    def _replay(self) -> Motion:
         recorder = PositionRecorder(make(self.variant, self.mjcf))
         try:
             observation, _ = recorder.reset(seed=self.seed)
@@ -79,7 +79,7 @@ class Recorded:
         finally:
             recorder.close()
 
-    def _observed(self) -> Motion:
+    def _from_observations(self) -> Motion:
         step = timestep(self.variant, self.mjcf)
         # All positions but the first come before the velocities.
         others = specification(self.variant.robot).forward_velocity
@@ -90,21 +90,25 @@ class Recorded:
 
 
 def replay(dataset_id: str, episode: int = 0) -> Motion:
-    """Return a recorded episode of a dataset of this package, or of a collection of such.
+    """Return the motion of a recorded episode of a dataset of this package.
+
+    Args:
+        dataset_id: id of a dataset or a collection of the Minari root.
+        episode: number of the episode.
 
     Raises:
-        DatasetNotFoundError: when the root holds no such dataset, or it no such episode.
-        DatasetError: when the episode does not say how it was made.
+        DatasetNotFoundError: if there is no such dataset or episode.
+        DatasetError: if the episode cannot be read, or its variant is from the original's archive.
     """
     return read_recorded(dataset_id, episode).motion()
 
 
 def read_recorded(dataset_id: str, episode: int = 0) -> Recorded:
-    """Read one episode of a dataset.
+    """Read one episode of a dataset of the Minari root.
 
     Raises:
-        DatasetNotFoundError: when the root holds no such dataset, or it no such episode.
-        DatasetError: when the episode does not say how it was made.
+        DatasetNotFoundError: if there is no such dataset or episode.
+        DatasetError: if the episode cannot be read, or its variant is from the original's archive.
     """
     path = file_format.main_file(minari_root.dataset_folder(dataset_id) / "data")
     if not path.is_file():

@@ -1,7 +1,7 @@
-"""How a variant looks: the canonical model in presentation dress, the changed limb coloured.
+"""The drawn model of a variant: the canonical model with the changed limb in a colour.
 
-Only looks are added (colours, light, floor pattern, sky); bodies, joints and geoms stay where the
-canonical model has them. Colours are Okabe and Ito's, which colour-blind people tell apart.
+Only colours, light, floor and sky are added. Bodies, joints and geoms stay as in the canonical model. The
+colours are Okabe and Ito's, which colour-blind people can tell apart.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ COLOURS: dict[str, Colour] = {
     "friction": (0.800, 0.475, 0.655),
 }
 NEAR: Colour = (0.70, 0.72, 0.75)
-# A leg behind another is darker, as it is told from the near one by nothing else.
+# A far leg is darker, because nothing else distinguishes it from the near one.
 FAR: Colour = (0.46, 0.49, 0.54)
 TILE = 1.0
 
@@ -45,7 +45,7 @@ def scene_model(
     spec = mujoco.MjSpec.from_string(model_text(variant, mjcf))
     if spec.geom("floor") is None:
         raise RenderingError(f"{variant} cannot be drawn: its model has no geom 'floor'")
-    _surroundings(spec, fine)
+    _replace_surroundings(spec, fine)
     spec.visual.global_.fovy = FIELD_OF_VIEW
     spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
     for geom in spec.geoms:
@@ -62,11 +62,11 @@ def scene_model(
 
 
 def _mark_joint(joint: mujoco.MjsJoint, colour: Colour) -> None:
-    """Draw a disc around a joint, and tint the limb that it moves."""
+    """Add a disc around a joint and tint the limb that it moves."""
     body = joint.parent
     radius = body.geoms[0].size[0]
     for geom in body.geoms:
-        geom.rgba = [*_mix(colour, NEAR, 0.55), 1.0]
+        geom.rgba = [*_mix_colours(colour, NEAR, 0.55), 1.0]
     ends = [*(joint.pos - 1.5 * radius * joint.axis), *(joint.pos + 1.5 * radius * joint.axis)]
     body.add_site(
         type=mujoco.mjtGeom.mjGEOM_CYLINDER,
@@ -77,8 +77,8 @@ def _mark_joint(joint: mujoco.MjsJoint, colour: Colour) -> None:
     )
 
 
-def _surroundings(spec: mujoco.MjSpec, fine: bool) -> None:
-    """Replace floor pattern, sky and light by ours, the same for all three robots."""
+def _replace_surroundings(spec: mujoco.MjSpec, fine: bool) -> None:
+    """Replace floor, sky and light by those that all three robots share."""
     for element in (*spec.textures, *spec.materials, *spec.lights):
         if element.name != "floor":
             spec.delete(element)
@@ -105,7 +105,7 @@ def _surroundings(spec: mujoco.MjSpec, fine: bool) -> None:
     tiles.specular, tiles.shininess = 0.0, 0.0
     floor = spec.geom("floor")
     floor.material, floor.rgba = "tiles", [1.0, 1.0, 1.0, 1.0]
-    # Zero extents draw it without an edge: a cheetah runs far beyond the 40 m of its own.
+    # Extents of zero draw an infinite floor. A cheetah runs far beyond the 40 m of its own floor.
     floor.size = [0.0, 0.0, 0.05]
     spec.bodies[1].add_light(
         name="sun",
@@ -126,7 +126,7 @@ def _surroundings(spec: mujoco.MjSpec, fine: bool) -> None:
     visual.map.znear, visual.map.zfar = 0.02, 40.0
 
 
-def _mix(first: Colour, second: Colour, share: float) -> Colour:
-    """Return ``share`` of the first colour with the rest of the second."""
+def _mix_colours(first: Colour, second: Colour, share: float) -> Colour:
+    """Return the mixture of ``share`` of the first colour and 1 - ``share`` of the second."""
     red, green, blue = (share * a + (1 - share) * b for a, b in zip(first, second, strict=True))
     return red, green, blue

@@ -1,4 +1,4 @@
-"""Whose motion is drawn: a variant's own, or a recorded episode, and the base robot's beside it."""
+"""The motions to draw: a variant's or a recorded episode's, and the base robot's for comparison."""
 
 from __future__ import annotations
 
@@ -21,12 +21,19 @@ def of_variant(
     beside_base: bool = False,
     seconds: float | None = None,
 ) -> list[Motion]:
-    """Return the motion of ``variant`` under its policy of ``tier``, after the base robot's if asked for.
+    """Return the motion of a variant under a policy.
 
-    The base robot is moved by its own policy of that tier; a policy file moves both.
+    Args:
+        variant: the variant.
+        tier: tier of the policy.
+        policy: a policy file to use instead.
+        seed: seed of the episode.
+        beside_base: return the motion of the base robot first, under its own policy of the tier or under
+            the same policy file.
+        seconds: length of the motions; None for the complete episode.
 
     Raises:
-        PolicyNotFoundError: when there is no such policy.
+        PolicyNotFoundError: if there is no such policy.
     """
     variants = [variant.base, variant] if beside_base and variant != variant.base else [variant]
     motions = []
@@ -42,14 +49,18 @@ def of_variant(
 def of_dataset(
     dataset_id: str, episode: int, *, beside_base: bool = False, seconds: float | None = None
 ) -> list[Motion]:
-    """Return a recorded episode, replayed, after the base robot's if asked for.
+    """Return the motion of a recorded episode.
 
-    Beside it the base robot's dataset of the same tier shows its episode of the same number; where none
-    is published here, the base robot's policy of that tier moves it.
+    Args:
+        dataset_id: id of the dataset.
+        episode: number of the episode.
+        beside_base: return a motion of the base robot first: the episode of the same number in its
+            dataset of the same tier. If that dataset does not exist, its policy of the tier is used.
+        seconds: length of the motions; None for the complete episode.
 
     Raises:
-        DatasetNotFoundError: when there is no such dataset or episode.
-        RenderingError: when nothing of that tier can move the base robot.
+        DatasetNotFoundError: if there is no such dataset or episode.
+        RenderingError: if the base robot has neither a dataset nor a policy of the tier.
     """
     recorded = read_recorded(dataset_id, episode)
     motions = [recorded.motion().until(seconds)]
@@ -63,6 +74,7 @@ def of_dataset(
         policy = load_policy(variant.base, tier=tier)
     except PolicyNotFoundError:
         raise RenderingError(
-            f"nothing to show of {variant.base} beside it: publish {base}, or leave out --beside-base"
+            f"{variant.base} has no dataset and no policy of the tier {tier}: publish {base}, "
+            "or leave out --beside-base"
         ) from None
     return [perform(variant.base, policy, seed=episode, seconds=seconds, title=f"{tier} policy"), *motions]

@@ -1,4 +1,4 @@
-"""The off-screen renderer: a model, its positions and a camera in, arrays of pixels out."""
+"""The off-screen renderer: it draws positions of a model, seen by a camera, as arrays of pixels."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ Image = NDArray[np.uint8]
 
 
 class Studio:
-    """Draws variants in pictures of one size; use it as a context manager.
+    """Draws variants in pictures of one size. It is a context manager.
 
-    One OpenGL context and one set of textures serves all variants, as they differ in neither.
+    All variants share one OpenGL context and one set of textures.
 
     Args:
-        width: of a picture, in pixels.
-        height: likewise.
-        fine: smooth edges and sharp shadows, at twice the time.
+        width: width of a picture, in pixels.
+        height: height of a picture, in pixels.
+        fine: draw smooth edges and sharp shadows, which takes twice the time.
 
     Raises:
-        RenderingError: when there is no OpenGL to draw with.
+        RenderingError: if no OpenGL works.
     """
 
     def __init__(self, width: int, height: int, *, fine: bool = True) -> None:
@@ -85,10 +85,10 @@ class Studio:
             mujoco.mjr_render(rectangle, scene, self._context)
             image = np.empty((self.height, self.width, 3), np.uint8)
             mujoco.mjr_readPixels(image, None, rectangle, self._context)
-            # OpenGL's first row is the lowest.
+            # The first row of OpenGL is the lowest row of the picture.
             yield image[::-1]
 
     def close(self) -> None:
-        """Give the OpenGL context back."""
+        """Free the OpenGL context."""
         self._context.free()
         self._gl.free()
