@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
+from traceback import walk_stack
 from types import FrameType
 from typing import Annotated, Any, Protocol, TypeVar
 
@@ -52,6 +53,10 @@ def main() -> None:
     def interrupt(number: int, frame: FrameType | None) -> None:
         nonlocal interrupted
         interrupted = True
+        if any(inner.f_code.co_filename.startswith("<frozen importlib") for inner, _ in walk_stack(frame)):
+            # An extension module that is being imported may lose the exception. An import writes nothing,
+            # so there is nothing to clean up.
+            os._exit(INTERRUPTED)
         # Interrupted work warns and fails in ways that help nobody: joblib warns of the jobs that it
         # cancels, and the thread that hands them out may fail.
         warnings.simplefilter("ignore")
@@ -67,7 +72,7 @@ def main() -> None:
     try:
         code = run(sys.argv[1:])
     except (Exception, KeyboardInterrupt):
-        # An extension module that is interrupted while it is imported raises an ImportError, and so on.
+        # A library may turn the KeyboardInterrupt into an exception of its own.
         if not interrupted:
             raise
         code = INTERRUPTED

@@ -38,38 +38,43 @@ class _InterruptNote:
 
     def hand_on(self) -> None:
         """Call the other handler, which raises KeyboardInterrupt, if a signal was noted."""
-        if self._noted:
+        if self._noted and _in_main_thread():
             self._noted = False
             self._handler(signal.SIGINT, None)
+
+
+# The handler that is installed, if one is.
+_installed: list[_InterruptNote] = []
 
 
 @contextmanager
 def delayed_interrupts() -> Iterator[None]:
     """Delay a Ctrl-C to the next :func:`safe_point`, or to the end of the ``with`` block."""
     handler = signal.getsignal(signal.SIGINT)
-    # Python handles signals in the main thread only. SIG_DFL and SIG_IGN raise nothing. In a block within
-    # a block, the outer one delays.
-    if not _in_main_thread() or not callable(handler) or isinstance(handler, _InterruptNote):
+    # Python handles signals in the main thread only. SIG_DFL and SIG_IGN raise nothing. Of nested blocks,
+    # the outermost delays.
+    if not _in_main_thread() or not callable(handler) or _installed:
         yield
         return
     note = _InterruptNote(handler)
     signal.signal(signal.SIGINT, note)
+    _installed.append(note)
     try:
         yield
     finally:
+        _installed.remove(note)
         signal.signal(signal.SIGINT, handler)
         note.hand_on()
 
 
 def safe_point() -> None:
-    """Raise the delayed Ctrl-C, if one came. Takes less than a microsecond.
+    """Raise the delayed Ctrl-C, if one came.
 
     Raises:
         KeyboardInterrupt: when a SIGINT came within :func:`delayed_interrupts`.
     """
-    handler = signal.getsignal(signal.SIGINT)
-    if isinstance(handler, _InterruptNote) and _in_main_thread():
-        handler.hand_on()
+    for note in _installed:
+        note.hand_on()
 
 
 def _in_main_thread() -> bool:

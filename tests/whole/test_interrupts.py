@@ -206,6 +206,36 @@ sys.modules["imujoco_minari.cli.app"].main()
     assert (done.returncode, done.stderr) == (7, "")
 
 
+def test_one_that_an_import_loses_is_one_all_the_same(tmp_path: Path) -> None:
+    (tmp_path / "loses_interrupts.py").write_text("""
+import signal
+try:
+    signal.raise_signal(signal.SIGINT)
+except BaseException:
+    pass
+""")
+    script = """
+import importlib
+app = importlib.import_module("imujoco_minari.cli.app")
+
+def run(arguments):
+    import loses_interrupts
+    return 0
+
+app.run = run
+app.main()
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
 @pytest.mark.parametrize("becomes", ["ImportError('initialization failed')", "interrupt"])
 def test_one_that_ends_as_something_else_is_one_all_the_same(becomes: str) -> None:
     script = f"""
