@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from imujoco_minari.errors import DatasetError, DatasetNotFoundError, VariantError, clipped, suggestion
+from imujoco_minari.errors import DatasetError, VariantError, clipped, suggestion
 from imujoco_minari.loading.arguments import whole_number
 from imujoco_minari.storage import file_format, minari_root
+from imujoco_minari.storage.missing import not_in_root
 from imujoco_minari.storage.reader import EpisodeFile
 
 if TYPE_CHECKING:
@@ -95,10 +96,7 @@ def _view(dataset: Any) -> View:
 
 def _main_file(dataset_id: str, folder: Path) -> Path:
     if not folder.exists():
-        raise DatasetNotFoundError(
-            f"{dataset_id} is not in the Minari root, at {folder}: "
-            "`imujoco publish` makes it, `minari list local` lists the datasets that exist"
-        )
+        raise not_in_root(dataset_id)
     file = file_format.main_file(folder / "data")
     if not file.is_file():
         raise DatasetError(f"{dataset_id} is not stored as HDF5: it has no {file.name}")
