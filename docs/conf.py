@@ -32,6 +32,8 @@ nitpick_ignore = [
 # One parameter a line, with its type.
 maximum_signature_line_length = 80
 autodoc_member_order = "bysource"
+# The fields of a named tuple are members already.
+napoleon_use_ivar = True
 # `Datasets` is a union that would fill the line.
 autodoc_type_aliases = {"Array": "numpy.ndarray", "Datasets": "Datasets"}
 

@@ -1,4 +1,8 @@
-"""Datasets as NumPy arrays and batches: load, select, split, sample."""
+"""Datasets as NumPy arrays and batches.
+
+This package loads datasets and collections, selects and splits their episodes, and draws batches. It requires h5py
+and NumPy only.
+"""
 
 from imujoco_minari.loading.batches import (
     Windows,

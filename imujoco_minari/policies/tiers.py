@@ -53,7 +53,7 @@ def load_policy(
     Args:
         variant: a variant or its id.
         tier: ``expert``, ``medium`` or ``random``; ignored when ``path`` is given. Several policies make
-            ``medium-expert`` and ``ranked``: :func:`parts` returns them.
+            ``medium-expert`` and ``ranked``: :func:`~imujoco_minari.policies.tiers.parts` returns them.
         path: a Stable-Baselines3 ``.zip`` or an actor's ``.safetensors`` to use instead.
         stochastic: sample actions instead of taking their mode.
 
