@@ -1,7 +1,7 @@
 """Datasets as NumPy arrays and batches.
 
-This package loads datasets and collections, selects and splits their episodes, and draws batches. It requires h5py
-and NumPy only.
+This package loads datasets and collections, selects and splits their episodes, and draws batches. It requires
+only h5py and NumPy.
 """
 
 from imujoco_minari.loading.batches import (
