@@ -198,4 +198,4 @@ def _read_state(state: Path) -> dict[str, dict[str, Any]]:
             return dict(data["cells"])
     except (OSError, ValueError, KeyError, TypeError):
         pass
-    raise TransferError(f"{state} is no state of a transfer: remove it, or name another --output")
+    raise TransferError(f"{state} is not a state file of a transfer: remove it, or name another --output")

@@ -47,7 +47,7 @@ def leftovers(root: Path) -> list[str]:
 def dead_folder(root: Path) -> Path:
     """Leave what a process leaves that dies in its work."""
     code = (
-        "import os, sys; from imujoco_minari.storage import minari_root\n"
+        "import os, sys; from imujoco_minari.storage import transactions\n"
         "with transactions.staging() as folder: print(folder, flush=True); os.kill(os.getpid(), 9)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

@@ -16,7 +16,7 @@ from imujoco_minari.storage import transactions
 WORKERS = """
 import json, multiprocessing, random, sys, warnings
 import minari
-from imujoco_minari.storage import minari_root
+from imujoco_minari.storage import transactions
 from imujoco_minari.errors import DatasetExistsError
 
 def put(dataset_id, mark, replace):
