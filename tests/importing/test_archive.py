@@ -250,7 +250,7 @@ def test_originals_combine_with_each_other_and_not_with_ours(tmp_path: Path) -> 
         assert current.body("leg").mass[0] == pytest.approx(2.7814 * mass, abs=1e-3)
     env.close()
     assert run(["publish", "hopper-base", "--tier", "random", "--episodes", "1", "--json"]) == 0
-    with pytest.raises(DatasetError, match="does not hold the original's variants"):
+    with pytest.raises(DatasetError, match="is not from the original's archive"):
         combine_datasets([*ids, "imujoco/hopper-base-random-v0"], "imujoco/hopper-mixed-v0")
 
 

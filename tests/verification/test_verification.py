@@ -215,7 +215,7 @@ TAMPERED = {
     "no column": (put(f"{E0}/observations", lambda v: v[:, 0]), "of shape"),
     "a number for the rewards": (put(f"{E0}/rewards", lambda v: v[0]), "has no steps"),
     "no rewards at all": (put(f"{E0}/rewards", lambda v: v[:0]), "has no steps"),
-    "rewards as whole numbers": (put(f"{E0}/rewards", lambda v: v.astype(int)), "not floats"),
+    "rewards as whole numbers": (put(f"{E0}/rewards", lambda v: v.astype(int)), "not float64"),
     "flags as numbers": (put(f"{E0}/terminations", lambda v: v.astype(float)), "not flags"),
     "observations as text": (put(f"{E0}/observations", lambda v: ["a"] * len(v)), "not numbers or flags"),
     "observation NaN": (put(f"{E0}/observations", but(1, np.nan)), "not finite"),
