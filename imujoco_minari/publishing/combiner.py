@@ -242,7 +242,7 @@ def _check_id(dataset_id: str, attributes: list[dict[str, Any]], originals: bool
         if variant_of({"variant": named[0], **catalogue}).dataset_id(named[1]) != dataset_id:
             raise DatasetError(
                 f"{dataset_id} is the id of a variant's dataset, but the sources have episodes of "
-                f"the variant {named[0]} and the tier {named[1]}: choose another id, as in {NAMESPACE}/hopper-all-v0"
+                f"the variant {named[0]} and the tier {named[1]}: choose another id"
             )
 
 
