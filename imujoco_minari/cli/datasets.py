@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from imujoco_minari.publishing.publisher import Published
     from imujoco_minari.publishing.recipes import Recipe
     from imujoco_minari.publishing.removal import Deleted
-    from imujoco_minari.verification import Finding
+    from imujoco_minari.verification import Findings
 
 
 @app.command("publish")
@@ -215,7 +215,7 @@ def verify_datasets(
     from imujoco_minari.verification import verify
 
     chosen = select_datasets(ids, Filters(robot, category, everything, with_base), tiers)
-    results: dict[str, list[Finding]] = {}
+    results: dict[str, Findings] = {}
     errors: list[ImujocoError] = []
     for dataset_id in chosen:
         try:
@@ -232,6 +232,8 @@ def verify_datasets(
         document: dict[str, Any] = {
             dataset_id: [vars(finding) for finding in findings] for dataset_id, findings in results.items()
         }
+        exceptions = {name: found.exceptions for name, found in results.items() if found.exceptions}
+        document |= {"exceptions": exceptions} if exceptions else {}
         print_json(document | ({"error": "; ".join(map(str, errors))} if errors else {}))
     for message in map(str, errors):
         fail(message)
@@ -244,16 +246,12 @@ def verify_datasets(
         raise typer.Exit(exit_code([isinstance(each, NotFoundError) for each in errors]))
 
 
-def _print_findings(dataset_id: str, findings: list[Finding]) -> None:
+def _print_findings(dataset_id: str, findings: Findings) -> None:
     if findings:
         out.print(f"{dataset_id}: {counted(len(findings), 'finding')}")
         print_table(("where", "what"), [[finding.where, finding.what] for finding in findings])
         return
-    # An imported dataset has no seeds, so its check covers less.
-    imported = _stated(dataset_id).get("replayable") is False
-    out.print(
-        f"{dataset_id}: sound" + (", but not replayed: it was imported without seeds" if imported else "")
-    )
+    out.print(", but ".join([f"{dataset_id}: sound", *filter(None, ["; ".join(findings.exceptions)])]))
 
 
 def _episodes(dataset_id: str) -> int:

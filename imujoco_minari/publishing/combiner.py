@@ -27,7 +27,7 @@ from imujoco_minari.storage import copying, file_format, minari_root, transactio
 from imujoco_minari.storage.metadata import complete_metadata, provenance
 from imujoco_minari.storage.quiet_file import writing
 from imujoco_minari.variants import EXPERT, NAMESPACE
-from imujoco_minari.variants.original import CATALOGUE, ORIGINAL
+from imujoco_minari.variants.original import CATALOGUE, ORIGINAL, names_variant, variant_of
 from imujoco_minari.verification.child_process import survives
 
 
@@ -69,7 +69,8 @@ def combine_datasets(
         DatasetNotFoundError: if the Minari root has no dataset with one of the ids.
         DatasetExistsError: if the new id is used and ``force`` is false.
         DatasetError: if there are no episodes to combine, if robots or spaces differ, or if a linked
-            collection would replace a dataset that it links to.
+            collection would replace a dataset that it links to, or if the new id is that of a variant and
+            episodes are of other variants or tiers.
 
     Example:
         >>> ids = ["imujoco/hopper-base-v0", "imujoco/hopper-massdec_25_leggeom-v0"]
@@ -211,6 +212,8 @@ def _collection_metadata(
     """Return the collection's metadata."""
     attributes = written.attributes
     spec = _collection_env_spec(sources, dataset_id, attributes)
+    originals = spec is not None and bool(stored_models(spec.kwargs))
+    _check_id(dataset_id, attributes, originals)
     algorithms = sorted({str(source.metadata.get("algorithm_name", "unknown")) for source in sources})
     requirements = {str(r) for source in sources for r in source.metadata.get("requirements") or []}
     return {
@@ -224,10 +227,23 @@ def _collection_metadata(
         "combined_datasets": [source.dataset_id for source in sources],
         "total_episodes": len(attributes),
         "total_steps": written.steps,
-        **({CATALOGUE: ORIGINAL} if spec is not None and stored_models(spec.kwargs) else {}),
+        **({CATALOGUE: ORIGINAL} if originals else {}),
         **({} if spec is None else {"env_spec": spec.to_json()}),
         **{key: _to_json_value(value) for key, value in written.stated.items()},
     }
+
+
+def _check_id(dataset_id: str, attributes: list[dict[str, Any]], originals: bool) -> None:
+    """Raise a DatasetError if the id is that of a variant's dataset and an episode does not belong in it."""
+    if not names_variant(dataset_id):
+        return
+    catalogue = {CATALOGUE: ORIGINAL} if originals else {}
+    for named in {(str(attrs.get("variant")), str(attrs.get("tier"))) for attrs in attributes}:
+        if variant_of({"variant": named[0], **catalogue}).dataset_id(named[1]) != dataset_id:
+            raise DatasetError(
+                f"{dataset_id} is the id of a variant's dataset, but the sources have episodes of "
+                f"the variant {named[0]} and the tier {named[1]}: choose another id"
+            )
 
 
 def _collection_env_spec(

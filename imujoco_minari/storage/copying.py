@@ -16,7 +16,7 @@ import numpy as np
 from h5py import h5a, h5g, h5l, h5o
 
 from imujoco_minari.errors import DatasetError
-from imujoco_minari.storage import file_format
+from imujoco_minari.storage import containment, file_format
 from imujoco_minari.storage.quiet_file import safe_point
 from imujoco_minari.storage.writer import read_text, write_attribute
 
@@ -41,11 +41,13 @@ def copy_episodes(source: h5py.File, episodes: Sequence[int], target: h5py.File,
 
     Raises:
         KeyError: if an episode or its number of steps is missing.
+        DatasetError: if an episode takes values from elsewhere than a dataset of the Minari root.
     """
-    steps, digests = 0, []
+    steps, digests, data = 0, [], Path(os.fsdecode(source.filename)).parent
     for place, number in enumerate(episodes, start=len(target)):
         safe_point()
         name = b"episode_%d" % place
+        containment.check_episode(source, number, data)
         h5o.copy(source.id, b"episode_%d" % number, target.id, name)
         group = h5g.open(target.id, name)
         count = np.empty((), np.int64)
@@ -74,10 +76,10 @@ def link_episodes(source: h5py.File, episodes: Sequence[int], target: h5py.File,
         KeyError: if an episode is missing.
     """
     where, links = path.encode(), target.id.links
+    data = Path(os.fsdecode(source.filename)).parent
     for place, number in enumerate(episodes, start=len(target)):
+        containment.check_episode(source, number, data)
         name = b"episode_%d" % number
-        if name not in source.id:
-            raise KeyError(f"no episode {number}")
         links.create_external(b"episode_%d" % place, where, name)
 
 

@@ -20,7 +20,7 @@ METADATA_FILE = "metadata.json"
 MAX_METADATA_BYTES = 2**24
 
 # The packages whose versions decide the content of a dataset, to the last bit or nearly.
-_PACKAGES = ("imujoco-minari", "mujoco", "gymnasium", "minari", "numpy")
+PACKAGES = ("imujoco-minari", "mujoco", "gymnasium", "minari", "numpy")
 _AUTHORS = frozenset({"imujoco_minari"})
 
 
@@ -40,6 +40,16 @@ def read_metadata(data: Path) -> dict[str, Any]:
     return metadata if isinstance(metadata, dict) else {}
 
 
+def requirements(versions: Mapping[str, str]) -> list[str]:
+    """Return the requirements that the versions of a dataset's packages give."""
+    return [f"{name}=={versions[name]}" for name in ("mujoco", "gymnasium")]
+
+
+def code_address(versions: Mapping[str, str]) -> str:
+    """Return the address of the code of this package in a version."""
+    return f"imujoco-minari=={versions['imujoco-minari']}"
+
+
 def provenance(
     *, authors: Iterable[str] = _AUTHORS, code: str | None = None, algorithm: str, description: str
 ) -> dict[str, Any]:
@@ -51,14 +61,15 @@ def provenance(
         algorithm: name of the algorithm that trained the policy.
         description: one or two sentences about the dataset.
     """
+    versions = {name: version(name) for name in PACKAGES}
     return {
         "algorithm_name": algorithm,
         "author": sorted(authors),
-        "code_permalink": code or f"imujoco-minari=={version('imujoco-minari')}",
+        "code_permalink": code or code_address(versions),
         "description": description,
-        "minari_version": version("minari"),
-        "requirements": [f"{name}=={version(name)}" for name in ("mujoco", "gymnasium")],
-        "versions": {name: version(name) for name in _PACKAGES},
+        "minari_version": versions["minari"],
+        "requirements": requirements(versions),
+        "versions": versions,
         "machine": platform.machine(),
         # BLAS and the C library round the last bit differently with and without these instructions.
         "simd": np.show_config(mode="dicts")["SIMD Extensions"]["found"],

@@ -18,12 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imujoco_minari.errors import DatasetError
+from imujoco_minari.storage import containment
 
 Array = NDArray[Any]
 
 
 class EpisodeFile:
-    """A ``main_data.hdf5`` that is open for reading. Links to episodes of other files are followed.
+    """A ``main_data.hdf5`` that is open for reading. Links within the Minari root are followed.
 
     Args:
         path: path of the file.
@@ -38,10 +39,8 @@ class EpisodeFile:
         self._stack = ExitStack()
         self._types: dict[np.dtype[Any], h5py.h5t.TypeID] = {}
         self._files: dict[Path, h5py.File] = {}
-        self._linked: dict[bytes, tuple[h5py.File, int]] = {}
-        self._path = path.resolve()
+        self._path = path.absolute()
         self._file = self._open_file(self._path)
-        self._descriptor = self._file.id.get_vfd_handle()
 
     def __enter__(self) -> Self:
         return self
@@ -128,20 +127,13 @@ class EpisodeFile:
     def _open_group(self, episode: int) -> tuple[h5py.h5g.GroupID, int]:
         """Return an episode's group, following a link, and the descriptor of the file that contains it."""
         name = f"episode_{episode}".encode()
-        links, file, descriptor = self._file.id.links, self._file, self._descriptor
         try:
             # If HDF5 followed the link, it would open and close the other file for every episode.
-            linked = links.get_val(name) if links.get_info(name).type == h5py.h5l.TYPE_EXTERNAL else None
-        except (KeyError, RuntimeError):
+            file, name = containment.follow(self._file, name, self._path.parent, self._open_file)
+        except KeyError:
             raise DatasetError(f"{self.name} has no episode {episode}") from None
-        if linked is not None:
-            filename, name = linked
-            if filename not in self._linked:
-                other = self._open_file((self._path.parent / os.fsdecode(filename)).resolve())
-                self._linked[filename] = (other, other.id.get_vfd_handle())
-            file, descriptor = self._linked[filename]
         try:
-            return h5py.h5g.open(file.id, name), descriptor
+            return h5py.h5g.open(file.id, name), file.id.get_vfd_handle()
         except (KeyError, ValueError):
             raise DatasetError(f"{self.name}: episode {episode} is not a group of {file.filename}") from None
 
@@ -155,10 +147,17 @@ class EpisodeFile:
         return self._files[path]
 
     def _open_array(self, group: h5py.h5g.GroupID, name: str, episode: int) -> h5py.h5d.DatasetID:
+        where = f"{self.name}: episode {episode}: {name}"
         try:
-            return h5py.h5d.open(group, name.encode())
+            containment.check_link(group, name.encode(), where)
+            array = h5py.h5d.open(group, name.encode())
+        except DatasetError:
+            raise
         except (KeyError, TypeError, ValueError):
             raise DatasetError(
                 f"{self.name}: episode {episode} has no array {name}; "
                 "valid: datasets whose observations and actions are arrays"
             ) from None
+        if array.get_offset() is None:
+            containment.check_array(array, where)
+        return array

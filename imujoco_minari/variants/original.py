@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from imujoco_minari.errors import VariantError
-from imujoco_minari.variants import BASE, CATEGORIES, MAX_PERCENT, ROBOTS, Variant, specification
+from imujoco_minari.variants import BASE, CATEGORIES, MAX_PERCENT, NAMESPACE, ROBOTS, Variant, specification
 
 ORIGINAL = "imujoco-original"
 RECOLLECTED = "recollected"
@@ -80,6 +80,16 @@ class OriginalVariant(Variant):
     def mjcf_names(self) -> tuple[str, ...]:
         """Names of what our variant of the same id changes; empty where there is none."""
         return self.ours.mjcf_names if self.ours else ()
+
+
+def names_variant(dataset_id: str) -> bool:
+    """Return whether a dataset id is the id of a variant's data of some tier, ours or the archive's."""
+    namespace, _, name = dataset_id.partition("/")
+    kind = {ORIGINAL: OriginalVariant, NAMESPACE: Variant}.get(namespace)
+    try:
+        return kind is not None and bool(kind.parse("-".join(name.rpartition("-v")[0].split("-")[:2])))
+    except VariantError:
+        return False
 
 
 def variant_of(attributes: Mapping[str, Any]) -> Variant:

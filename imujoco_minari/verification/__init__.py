@@ -1,4 +1,4 @@
-"""Checks of a dataset: structure, attributes, digests, and a replay of every episode.
+"""Checks of a dataset: structure, attributes, metadata, digests, and a replay of every episode.
 
 The replay resets the variant's environment with each recorded seed, applies the recorded actions and
 compares every observation, reward and flag, bit for bit. It is exact only with the MuJoCo version and on
@@ -22,11 +22,11 @@ from imujoco_minari.storage.metadata import read_metadata
 from imujoco_minari.storage.missing import not_in_root
 from imujoco_minari.verification import child_process, digests
 from imujoco_minari.verification.check import check, unreadable
-from imujoco_minari.verification.findings import MAX_FINDINGS, Checked, Finding, shown
+from imujoco_minari.verification.findings import MAX_FINDINGS, Checked, Finding, Findings, shown
 from imujoco_minari.verification.identity import dataset_models
 from imujoco_minari.verification.replay import replay
 
-__all__ = ["Checked", "Finding", "check", "inspect", "verify"]
+__all__ = ["Checked", "Finding", "Findings", "check", "inspect", "verify"]
 
 
 def verify(
@@ -36,8 +36,13 @@ def verify(
     jobs: int = 1,
     backend: str | None = None,
     on_episode: Callable[[], None] | None = None,
-) -> list[Finding]:
-    """Check a dataset of the Minari root and return what is wrong with it; an empty list is good news.
+) -> Findings:
+    """Check a dataset of the Minari root and return what is wrong with it; an empty list means "sound".
+
+    A dataset is sound if it is what this package makes for its id: variant, tier, model, environment,
+    spaces, types, seeds, counts and references agree with each other, no digest differs, and the simulator
+    gives every stored value again. The ``exceptions`` of the result state what could not be checked of a
+    dataset, for example that it was imported without seeds.
 
     Args:
         dataset_id: a dataset that this package published, or a collection of such.
@@ -51,7 +56,7 @@ def verify(
         JobError: when the back end cannot be used.
     """
     folder = minari_root.dataset_folder(dataset_id)
-    findings: list[Finding] = []
+    findings = Findings()
     for _ in range(_ATTEMPTS):
         try:
             before = minari_root.folder_identity(folder)
@@ -74,13 +79,13 @@ def _check_dataset(
     jobs: int,
     backend: str | None,
     on_episode: Callable[[], None] | None,
-) -> list[Finding]:
+) -> Findings:
     """Check the dataset that lies in the folder ``data`` now."""
     checked = child_process.checked_apart(data, jobs if backend is None else 1)
     if isinstance(checked, Finding):
         # What killed or held the child was HDF5; the files' own digests need none.
         metadata = read_metadata(data)
-        return [*(digests.files(data, metadata) if metadata else ()), checked]
+        return Findings([*(digests.files(data, metadata) if metadata else ()), checked])
     findings = checked.findings
     if replay and checked.replayable:
         if jobs == 1 and backend is None:
@@ -95,7 +100,7 @@ def _check_dataset(
                 "metadata.json/dataset_id", f"is {shown(stated)}, but the dataset lies under {dataset_id!r}"
             ),
         )
-    return _first(findings, data)
+    return Findings(_first(findings, data), checked.exceptions)
 
 
 def inspect(

@@ -9,15 +9,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, field
-from os.path import normpath
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 
-from imujoco_minari.storage import file_format, minari_root
+from imujoco_minari.errors import DatasetError
+from imujoco_minari.storage import containment, file_format
 from imujoco_minari.verification.findings import Finding, shown
 
 # An episode of 1000 steps of these robots has arrays of 136 kB at most.
@@ -26,7 +27,6 @@ MAX_ATTRIBUTE_BYTES = 2**20
 MAX_ATTRIBUTES = 200
 # Arrays and groups of one episode, and how deep they nest: Minari's own are six, infos are a group more.
 MAX_OBJECTS, MAX_DEPTH = 100, 4
-MAX_LINKS = 4
 
 _TEXT = h5py.string_dtype()
 
@@ -101,7 +101,7 @@ def look(file: h5py.File, data: Path, number: int) -> Episode:
     name = f"episode_{number}"
     link = file.get(name, getlink=True)
     if not isinstance(link, h5py.HardLink):
-        _follow(link, data, name)
+        _follow(file, data, name)
     group = file[name].id
     if not isinstance(group, h5py.h5g.GroupID):
         raise UnreadableError(name, "is no group")
@@ -139,26 +139,21 @@ def attributes(item: Any, where: str) -> dict[str, Any]:
     return found
 
 
-def _follow(link: Any, data: Path, name: str, depth: int = 0) -> None:
+def _follow(file: h5py.File, data: Path, name: str) -> None:
     """Raise for a link that does not lead to an episode of another dataset of the Minari root."""
-    if not isinstance(link, h5py.ExternalLink):
-        raise UnreadableError(name, "is a soft link, which datasets do not have")
-    source = Path(normpath(data / link.filename))
-    root = Path(normpath(minari_root.datasets_root().absolute()))
-    if not source.is_relative_to(root) or source.name != file_format.MAIN_FILE or depth >= MAX_LINKS:
-        raise UnreadableError(
-            name, f"refers to {shown(link.filename)}, which is no dataset of the Minari root"
-        )
-    try:
-        with h5py.File(source, "r") as other:
-            target = str(link.path).strip("/")
-            if "/" in target or target not in other:
-                raise UnreadableError(name, f"refers to {shown(link.path)} of {source}, which is not there")
-            further = other.get(target, getlink=True)
-            if not isinstance(further, h5py.HardLink):
-                _follow(further, source.parent, target, depth + 1)
-    except OSError as error:
-        raise UnreadableError(name, f"refers to {source}, which cannot be read: {str(error)[:120]}") from None
+    with ExitStack() as stack:
+
+        def opened(path: Path) -> h5py.File:
+            return stack.enter_context(h5py.File(path, "r"))
+
+        try:
+            holder, target = containment.follow(file, name.encode(), data, opened)
+            if target not in holder.id:
+                raise UnreadableError(name, f"refers to {shown(target)}, which does not exist")
+        except DatasetError as error:
+            raise UnreadableError(name, str(error)) from None
+        except (OSError, KeyError) as error:
+            raise UnreadableError(name, f"refers to what cannot be read: {str(error)[:120]}") from None
 
 
 def _look_below(
@@ -189,8 +184,10 @@ def _look_below(
 
 def _look_at(array: Any, where: str) -> None:
     properties, shape, dtype = array.get_create_plist(), array.shape, array.dtype
-    if properties.get_layout() == h5py.h5d.VIRTUAL or properties.get_external_count():
-        raise UnreadableError(where, "takes its values from another file")
+    try:
+        containment.check_array(array, where)
+    except DatasetError:
+        raise UnreadableError(where, "takes its values from another file") from None
     if dtype.kind not in "fiub":
         raise UnreadableError(where, f"holds {dtype}, not numbers or flags")
     if array.get_space().get_simple_extent_type() == h5py.h5s.NULL:

@@ -17,7 +17,8 @@ import h5py
 from imujoco_minari.storage import file_format
 from imujoco_minari.storage.metadata import read_metadata
 from imujoco_minari.variants.original import CATALOGUE, variant_of
-from imujoco_minari.verification import bounded_read, digests, identity, structure
+from imujoco_minari.verification import bounded_read, digests, expected, identity, structure
+from imujoco_minari.verification.expected import Content
 from imujoco_minari.verification.findings import MAX_FINDINGS, Checked, Finding, same, shown
 
 
@@ -33,7 +34,9 @@ class PartialCheck:
         linked: whether all of them lie in other files.
         episodes: how many there are in the whole dataset.
         steps: of all of the part's.
-        variants: of the part's, each once, as the attributes that name it.
+        identities: of the part's, each once, as the attributes that name variant and tier.
+        runs: numbers and attributes of the first episodes that state other attributes of their policy.
+        unreplayed: number of the part's that were imported without seeds.
         digests: of the part's, as stored.
     """
 
@@ -44,7 +47,9 @@ class PartialCheck:
     linked: bool = True
     episodes: int = 0
     steps: int = 0
-    variants: list[dict[str, str]] = field(default_factory=list)
+    identities: list[dict[str, str]] = field(default_factory=list)
+    runs: list[tuple[int, dict[str, Any]]] = field(default_factory=list)
+    unreplayed: int = 0
     digests: list[str] = field(default_factory=list)
 
     def to_json(self) -> str:
@@ -87,7 +92,7 @@ def merge(data: Path, parts: Sequence[PartialCheck]) -> Checked:
     if not all(part.readable for part in parts):
         return Checked(findings, replayable=False)
     try:
-        return Checked(findings, _check_whole(findings, data, parts))
+        return _check_whole(findings, data, parts)
     except Exception as error:  # as above
         return Checked([*findings, unreadable(data, error)], replayable=False)
 
@@ -136,17 +141,21 @@ def _check_episode(
         part.sound = False
         return
     variant = identity.variant(episode)
-    named = {key: str(episode.attributes.get(key, "")) for key in ("variant", CATALOGUE)}
-    if variant is not None and named not in part.variants:
-        part.variants.append(named)
-    part.findings += identity.episode(episode, variant, root, identity.is_collection(metadata))
+    named = {key: str(episode.attributes.get(key, "")) for key in ("variant", CATALOGUE, "tier")}
+    if variant is not None and named not in part.identities:
+        part.identities.append(named)
+    attributes = expected.policy_attributes(episode.attributes)
+    if not part.runs or part.runs[-1][1] != attributes:
+        part.runs.append((number, attributes))
+    part.unreplayed += not structure.is_replayed(episode.attributes)
+    part.findings += identity.episode(episode, number, variant, root, metadata)
     changed = list(digests.arrays(episode, read))
     part.findings += changed
     part.intact &= not changed
 
 
-def _check_whole(findings: list[Finding], data: Path, parts: Sequence[PartialCheck]) -> bool:
-    """Add what the whole tells to the findings; return whether the dataset can be replayed."""
+def _check_whole(findings: list[Finding], data: Path, parts: Sequence[PartialCheck]) -> Checked:
+    """Add what the whole tells to the findings."""
     metadata = read_metadata(data)
     obstacles = []
     totals = {"total_episodes": parts[0].episodes, "total_steps": sum(part.steps for part in parts)}
@@ -155,13 +164,23 @@ def _check_whole(findings: list[Finding], data: Path, parts: Sequence[PartialChe
             what = f"is {shown(metadata.get(key))}, but the file holds {value}"
             obstacles.append(Finding(f"metadata.json/{key}", what))
     findings += obstacles
-    if obstacles or any(identity.loadable(metadata)) or not all(part.sound for part in parts):
-        return False
+    named = [named for part in parts for named in part.identities]
+    whole = named and all(part.sound for part in parts)
+    if obstacles or any(identity.loadable(metadata)) or not whole:
+        return Checked(findings, replayable=False)
     with h5py.File(file_format.main_file(data), "r") as file:
         root = bounded_read.attributes(file.id, "")
-    variants = dict.fromkeys(variant_of(named) for part in parts for named in part.variants)
-    findings += identity.whole(root, metadata, list(variants))
+    sealed = [digest for part in parts for digest in part.digests]
+    content = Content(
+        identities=list(dict.fromkeys((variant_of(one), one["tier"]) for one in named)),
+        episodes=len(sealed),
+        runs=[run for part in parts for run in part.runs],
+        unreplayed=sum(part.unreplayed for part in parts),
+        repeated=len(sealed) - len(set(sealed)),
+    )
+    findings += identity.whole(root, metadata, content)
+    compared, exceptions = expected.compare(metadata, content)
+    findings += compared
     if all(part.intact for part in parts):
-        sealed = [digest for part in parts for digest in part.digests]
         findings += digests.whole(sealed, root, metadata, all(part.linked for part in parts))
-    return True
+    return Checked(findings, replayable=True, exceptions=exceptions)

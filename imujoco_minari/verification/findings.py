@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,10 +24,29 @@ class Finding:
 
 @dataclass(frozen=True)
 class Checked:
-    """What is wrong with a dataset but for its replay, and whether its episodes are whole enough for that."""
+    """What is wrong with a dataset but for its replay.
+
+    Attributes:
+        findings: what is wrong.
+        replayable: whether its episodes are whole enough for a replay.
+        exceptions: what cannot be checked.
+    """
 
     findings: list[Finding]
     replayable: bool
+    exceptions: Sequence[str] = ()
+
+
+class Findings(list[Finding]):
+    """What is wrong with a dataset; empty for a sound one.
+
+    Attributes:
+        exceptions: what cannot be checked of it, in words that follow "sound, but".
+    """
+
+    def __init__(self, findings: Iterable[Finding] = (), exceptions: Sequence[str] = ()) -> None:
+        super().__init__(findings)
+        self.exceptions = tuple(exceptions)
 
 
 def plain(value: Any) -> Any:

@@ -10,12 +10,16 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from minari import supported_dataset_versions
+
 from imujoco_minari.envs.registration import current_spec, dataset_spec, is_entry_point, stored_models
 from imujoco_minari.errors import ImujocoError, VariantError
 from imujoco_minari.storage import file_format
-from imujoco_minari.variants import Variant, specification
+from imujoco_minari.variants import Variant
 from imujoco_minari.variants.original import CATALOGUE, variant_of
+from imujoco_minari.verification import expected, structure
 from imujoco_minari.verification.bounded_read import Episode
+from imujoco_minari.verification.expected import Content
 from imujoco_minari.verification.findings import Finding, plain, same, shown
 from imujoco_minari.verification.replay import simulator
 
@@ -35,9 +39,28 @@ def loadable(metadata: Mapping[str, Any]) -> Iterator[Finding]:
                 f"metadata.json/{key}",
                 "is no Box of floats" if key in metadata else "is missing: Minari would make the environment",
             )
-    for key in ("env_spec", "eval_env_spec"):
-        if metadata.get(key) is not None:
-            yield from _env_spec(f"metadata.json/{key}", metadata[key])
+    if metadata.get("env_spec") is not None:
+        yield from _env_spec("metadata.json/env_spec", metadata["env_spec"])
+    if metadata.get("eval_env_spec") is not None:
+        yield Finding("metadata.json/eval_env_spec", "is not written by this package: do not load it")
+    yield from _types(metadata)
+
+
+def _types(metadata: Mapping[str, Any]) -> Iterator[Finding]:
+    """Report values with which Minari, or a reader of its metadata, fails."""
+    if metadata.get("minari_version") not in sorted(supported_dataset_versions):
+        version = shown(metadata.get("minari_version"))
+        yield Finding(
+            "metadata.json/minari_version", f"is {version}, which the installed Minari does not load"
+        )
+    for key in ("algorithm_name", "code_permalink", "description"):
+        if not isinstance(metadata.get(key), str):
+            yield Finding(f"metadata.json/{key}", f"is {shown(metadata.get(key))}, not a text")
+    combined = ("combined_datasets",) if "combined_datasets" in metadata else ()
+    for key in ("author", "requirements", *combined):
+        value = metadata.get(key)
+        if not isinstance(value, list) or not value or not all(isinstance(one, str) for one in value):
+            yield Finding(f"metadata.json/{key}", f"is {shown(value)}, not a list of texts")
 
 
 def dataset_models(metadata: Mapping[str, Any]) -> dict[str, str]:
@@ -90,24 +113,45 @@ def variant(found: Episode) -> Variant | None:
 
 
 def episode(
-    found: Episode, variant: Variant | None, root: Mapping[str, Any], collection: bool
+    found: Episode,
+    number: int,
+    variant: Variant | None,
+    root: Mapping[str, Any],
+    metadata: Mapping[str, Any],
 ) -> Iterator[Finding]:
     """Report attributes of an episode that contradict its variant or its dataset.
 
     Args:
         found: the episode.
+        number: its place in the dataset.
         variant: the variant that it names, if it names one.
-        root: the attributes of its file.
-        collection: whether the dataset combines others, whose attributes may differ from its own.
+        root: the attributes of its file. Those of a collection may differ from its own.
+        metadata: the dataset's metadata.
     """
     attrs, name = found.attributes, found.name
     if variant is None:
         yield Finding(f"{name}@variant", f"is {shown(attrs.get('variant'))}, which is no variant")
         return
-    for key, value in file_format.attributes(variant, str(attrs.get("tier"))).items():
+    tier = str(attrs.get("tier"))
+    for key, value in file_format.attributes(variant, tier).items():
         if not same(attrs.get(key), value):
             yield Finding(f"{name}@{key}", f"is {shown(attrs.get(key))}, not {value!r}")
-    if collection:
+    try:
+        possible = expected.sources(metadata, variant, tier)
+    except VariantError as error:
+        yield Finding(f"{name}@tier", str(error))
+        return
+    if "source" in attrs and not any(same(attrs["source"], one) for one in possible):
+        yield Finding(f"{name}@source", f"is {shown(attrs['source'])}, not {' or '.join(possible)}")
+    if file_format.REPLAYABLE in attrs and structure.is_replayed(attrs):
+        stated = shown(attrs[file_format.REPLAYABLE])
+        yield Finding(f"{name}@{file_format.REPLAYABLE}", f"is {stated}; valid: False, or nothing")
+    seed = expected.seed(metadata, number)
+    if structure.is_replayed(attrs) and seed is not None and not same(attrs.get("seed"), seed):
+        yield Finding(
+            f"{name}@seed", f"is {shown(attrs.get('seed'))}, but the base seed gives {seed} to this episode"
+        )
+    if expected.is_collection(metadata):
         return
     for key in ("variant", "tier", CATALOGUE, file_format.REPLAYABLE):
         if not same(attrs.get(key), plain(root.get(key))):
@@ -116,27 +160,19 @@ def episode(
             )
 
 
-def whole(
-    root: Mapping[str, Any], metadata: Mapping[str, Any], variants: Sequence[Variant]
-) -> Iterator[Finding]:
-    """Report attributes of root and metadata that contradict each other or the variants of the episodes."""
-    if variants:
-        yield from _spaces(metadata, variants[0])
-        yield from _environment(root, metadata, variants)
-    if not is_collection(metadata):
+def whole(root: Mapping[str, Any], metadata: Mapping[str, Any], content: Content) -> Iterator[Finding]:
+    """Report attributes of root and metadata that contradict each other or the episodes."""
+    variants = list(dict.fromkeys(variant for variant, _ in content.identities))
+    for key, space in expected.spaces(variants[0].robot).items():
+        if json.loads(metadata[key]) != space:
+            yield Finding(f"metadata.json/{key}", f"is {shown(metadata[key])}, not that of the variant")
+    yield from _environment(root, metadata, variants)
+    if expected.is_collection(metadata):
+        for key in file_format.IDENTITY:
+            if not same(metadata.get(key), plain(root.get(key))):
+                yield Finding(f"@{key}", f"is {shown(root.get(key))}, but the metadata's is another")
+    else:
         yield from _root(root, metadata)
-
-
-def is_collection(metadata: Mapping[str, Any]) -> bool:
-    """Return whether a dataset's metadata says that it combines others."""
-    return "combined_datasets" in metadata
-
-
-def _spaces(metadata: Mapping[str, Any], variant: Variant) -> Iterator[Finding]:
-    for key, size in zip(_SPACES, specification(variant.robot).sizes, strict=True):
-        shape = json.loads(metadata[key])["shape"]
-        if shape != [size]:
-            yield Finding(f"metadata.json/{key}", f"is of shape {shown(shape)}, not [{size}]")
 
 
 def _environment(
@@ -150,12 +186,13 @@ def _environment(
     if models and "mjcf" in root:
         models = {str(variants[0]): str(root["mjcf"])}
     try:
-        expected = dataset_spec("", variants, models)
+        name = metadata["dataset_id"].rpartition("/")[2].rpartition("-v")[0]
+        wanted = json.loads(dataset_spec(name, variants, models).to_json())
     except VariantError as error:
         yield Finding("metadata.json/env_spec", f"is not the variant's: {error}")
         return
-    for key in ("entry_point", "kwargs", "max_episode_steps"):
-        if spec.get(key) != json.loads(expected.to_json())[key]:
+    for key in sorted(wanted.keys() | spec.keys()):
+        if spec.get(key) != wanted.get(key):
             yield Finding(
                 "metadata.json/env_spec", f"has the {key} {shown(spec.get(key))}, which is not the variant's"
             )

@@ -15,6 +15,7 @@ from imujoco_minari.envs.registration import make
 from imujoco_minari.storage import file_format
 from imujoco_minari.variants.original import variant_of
 from imujoco_minari.verification.findings import Finding
+from imujoco_minari.verification.structure import is_replayed
 
 # Processor time (s) that a step may take on average, and that is granted on top. Usual steps take 1e-4 s.
 STEP_SECONDS, START_SECONDS = 0.02, 1.0
@@ -39,7 +40,7 @@ def replay(
         for number in episodes:
             group = file[f"episode_{number}"]
             name = str(group.attrs["variant"])
-            if group.attrs.get(file_format.REPLAYABLE, True):
+            if is_replayed(group.attrs):
                 if name not in environments:
                     environments[name] = make(variant_of(group.attrs), models.get(name))
                 yield from _replay_episode(group, f"episode_{number}", environments[name])

@@ -12,7 +12,14 @@ from imujoco_minari.variants import ROBOTS, specification
 from imujoco_minari.verification.bounded_read import Episode
 from imujoco_minari.verification.findings import Finding, same, shown
 
-_KINDS = {"observations": "f", "actions": "f", "rewards": "f", "terminations": "b", "truncations": "b"}
+# What the environments give. A replay in another type would round both sides before it compares them.
+_TYPES: dict[str, np.dtype[Any]] = {
+    "observations": np.dtype("<f8"),
+    "actions": np.dtype("<f4"),
+    "rewards": np.dtype("<f8"),
+    "terminations": np.dtype(bool),
+    "truncations": np.dtype(bool),
+}
 
 
 def length(episode: Episode) -> int:
@@ -23,6 +30,9 @@ def length(episode: Episode) -> int:
 
 def arrays(episode: Episode) -> Iterator[Finding]:
     """Report arrays that are missing, or whose types and shapes do not fit."""
+    further = sorted(set(episode.arrays) - set(file_format.ARRAYS))
+    if further:
+        yield Finding(f"{episode.name}/{further[0]}", "is an array that this package does not write")
     missing = [key for key in file_format.ARRAYS if key not in episode.arrays]
     if missing:
         yield Finding(episode.name, f"has no {missing[0]}")
@@ -41,13 +51,18 @@ def arrays(episode: Episode) -> Iterator[Finding]:
         shapes = {"observations": (steps + 1, observation), "actions": (steps, action)}
     for key in file_format.ARRAYS:
         array, expected = episode.arrays[key], shapes.get(key, (steps,))
-        if array.shape != expected or array.dtype.kind != _KINDS[key]:
+        if array.shape != expected or array.dtype != _TYPES[key]:
             yield Finding(
                 f"{episode.name}/{key}",
                 f"holds {array.dtype} of shape {array.shape}, not "
-                f"{'flags' if _KINDS[key] == 'b' else 'floats'} of shape {expected}",
+                f"{'flags' if _TYPES[key].kind == 'b' else _TYPES[key]} of shape {expected}",
             )
             return
+
+
+def is_replayed(attributes: Mapping[str, Any]) -> bool:
+    """Return whether an episode is replayed: all are, but those that were imported without seeds."""
+    return not same(attributes.get(file_format.REPLAYABLE), False)
 
 
 def values(episode: Episode, number: int, read: Mapping[str, Any]) -> Iterator[Finding]:
@@ -71,8 +86,9 @@ def values(episode: Episode, number: int, read: Mapping[str, Any]) -> Iterator[F
     if not same(attrs.get("total_steps"), len(rewards)):
         yield Finding(f"{name}@total_steps", f"is {shown(attrs.get('total_steps'))}, not {len(rewards)}")
     seed = attrs.get("seed")
-    replayable = "seed" in attrs or not same(attrs.get(file_format.REPLAYABLE), False)
-    if replayable and (not isinstance(seed, np.integer) or not 0 <= seed < 2**63):
+    if not is_replayed(attrs) and "seed" in attrs:
+        yield Finding(f"{name}@seed", "is stated, but the episode states that it has none")
+    if is_replayed(attrs) and (not isinstance(seed, np.integer) or not 0 <= seed < 2**63):
         yield Finding(f"{name}@seed", f"is {shown(seed)}, so the episode cannot be replayed")
     for key in ("observations", "actions", "rewards"):
         if not np.isfinite(read[key]).all():

@@ -226,12 +226,20 @@ def test_a_linked_collection_does_not_replace_what_it_links_to(sources, capsys):
 
 def test_a_copy_may_replace_one_of_its_sources(sources):
     before = stored(minari.load_dataset(IDS[0]))
-    combined = combine_datasets(sources[:2], IDS[0], force=True)
+    with pytest.raises(DatasetError, match="is the id of a variant's dataset, but the sources have episodes"):
+        combine_datasets(sources[:2], IDS[0], force=True)
+    assert stored(minari.load_dataset(IDS[0])) == before
+    combined = combine_datasets([IDS[0], IDS[0]], IDS[0], force=True)
     assert without_id(stored(combined))[:EPISODES] == [
         (dict(attributes, source=IDS[0]), arrays) for attributes, arrays in without_id(before)
     ]
     assert combined.total_episodes == 2 * EPISODES
-    assert verify(IDS[0]) == []
+    findings = verify(IDS[0])
+    assert findings == []
+    assert findings.exceptions == (
+        f"{EPISODES} of its episodes are equal to earlier ones",
+        "it is a collection under the id of a variant",
+    )
 
 
 def test_verify_finds_a_linked_source_that_was_replaced(monkeypatch):

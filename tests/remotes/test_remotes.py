@@ -431,15 +431,20 @@ def test_pull_force_replaces_nothing_before_all_checks_have_passed(store: Folder
 
 
 def test_a_collection_that_names_itself_is_pulled(store: FolderStore, elsewhere: Callable[[], Path]) -> None:
-    combine_datasets([HOPPER, BASE], HOPPER, force=True)
-    assert [outcome.dataset_id for outcome in remotes.push(HOPPER, REMOTE)] == [BASE, HOPPER]
+    name = "imujoco/hopper-itself-v0"
+    combine_datasets([HOPPER], name)
+    combine_datasets([name, BASE], name, force=True)
+    assert [outcome.dataset_id for outcome in remotes.push(name, REMOTE)] == [BASE, name]
     elsewhere()
-    assert [outcome.dataset_id for outcome in remotes.pull(HOPPER, REMOTE)] == [BASE, HOPPER]
+    assert [outcome.dataset_id for outcome in remotes.pull(name, REMOTE)] == [BASE, name]
 
 
 def test_datasets_that_are_made_of_each_other_are_pushed(store: FolderStore) -> None:
-    combine_datasets([LINKED], HOPPER, force=True)
-    assert [outcome.dataset_id for outcome in remotes.push(HOPPER, REMOTE)] == [BASE, LINKED, HOPPER]
+    first, second = "imujoco/hopper-first-v0", "imujoco/hopper-second-v0"
+    combine_datasets([HOPPER], first)
+    combine_datasets([first, BASE], second, link=True)
+    combine_datasets([second], first, force=True)
+    assert [outcome.dataset_id for outcome in remotes.push(first, REMOTE)] == [BASE, second, first]
 
 
 def test_push_force_replaces_only_what_is_named(store: FolderStore) -> None:

@@ -215,7 +215,7 @@ TAMPERED = {
     "no column": (put(f"{E0}/observations", lambda v: v[:, 0]), "of shape"),
     "a number for the rewards": (put(f"{E0}/rewards", lambda v: v[0]), "has no steps"),
     "no rewards at all": (put(f"{E0}/rewards", lambda v: v[:0]), "has no steps"),
-    "rewards as whole numbers": (put(f"{E0}/rewards", lambda v: v.astype(int)), "not floats"),
+    "rewards as whole numbers": (put(f"{E0}/rewards", lambda v: v.astype(int)), "not float64"),
     "flags as numbers": (put(f"{E0}/terminations", lambda v: v.astype(float)), "not flags"),
     "observations as text": (put(f"{E0}/observations", lambda v: ["a"] * len(v)), "not numbers or flags"),
     "observation NaN": (put(f"{E0}/observations", but(1, np.nan)), "not finite"),
@@ -426,6 +426,22 @@ class TestLinkedCollections:
             file["episode_0"] = h5py.ExternalLink(target, "episode_0")
         complete_metadata(linked, {})
         assert "is no dataset of the Minari root" in found(linked)
+
+    def test_a_staged_link_is_checked_as_it_will_lie(self, linked: Path, data: Path, root: Path) -> None:
+        """From the staging folder, the link leads into the root; from its place, out of it."""
+        staged = root / ".imujoco-staging" / "x" / "imujoco" / "hopper-linked-v0" / "data"
+        shutil.copytree(linked, staged)
+        shutil.copytree(root / "imujoco", root / "imujoco" / "imujoco")
+        for source in ("hopper-base-random-v0", "hopper-massdec_25_leggeom-random-v0"):
+            shutil.copytree(root / "imujoco" / source, staged.parent.parent / source)
+        assert found(staged, replay_episodes=0) == ""
+        with h5py.File(file_format.main_file(staged), "a") as file:
+            del file["episode_0"]
+            link = f"../../../../../{ID}/data/main_data.hdf5"
+            assert (staged / link).is_file()
+            file["episode_0"] = h5py.ExternalLink(link, "episode_0")
+        complete_metadata(staged, {})
+        assert "is no dataset of the Minari root" in found(staged, replay_episodes=0)
 
     def test_links_in_a_circle(self, linked: Path, root: Path) -> None:
         with h5py.File(file_format.main_file(linked), "a") as file:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from imujoco_minari.envs.registration import make
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError
 from imujoco_minari.pictures.rendering.motion import Motion, PositionRecorder, timestep
-from imujoco_minari.storage import file_format, minari_root
+from imujoco_minari.storage import containment, file_format, minari_root
 from imujoco_minari.storage.metadata import read_metadata
 from imujoco_minari.storage.missing import not_in_root
 from imujoco_minari.variants import Variant, specification
@@ -119,6 +119,7 @@ def read_recorded(dataset_id: str, episode: int = 0) -> Recorded:
                 raise DatasetNotFoundError(
                     f"{dataset_id} has no episode {episode}; valid: 0 to {len(file) - 1}"
                 )
+            containment.check_episode(file, episode, path.parent)
             models = dataset_models(read_metadata(path.parent))
             return _read(file[f"episode_{episode}"], dataset_id, episode, models)
     except (OSError, KeyError, IndexError) as error:

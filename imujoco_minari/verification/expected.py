@@ -1,0 +1,273 @@
+"""The metadata that this package would write, compared key by key with what a dataset states.
+
+What follows from the variants, the tiers, the base seed and known policies must be as expected. What
+does not follow, because it is not known here, is an exception: the result of the check states it.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from imujoco_minari.errors import ImujocoError
+from imujoco_minari.policies import expert_record
+from imujoco_minari.policies.references import reference_scores
+from imujoco_minari.policies.rollouts import episode_seed
+from imujoco_minari.policies.tiers import REPLAY, TierPart, parts
+from imujoco_minari.storage import file_format
+from imujoco_minari.storage.metadata import PACKAGES, code_address, requirements
+from imujoco_minari.variants import Variant, specification
+from imujoco_minari.variants.original import OriginalVariant, names_variant
+from imujoco_minari.verification.findings import Finding, plain, shown
+
+_POLICY_DIGESTS = re.compile(r"[0-9a-f]{64}(,[0-9a-f]{64})*", re.ASCII)
+_POLICY_ATTRIBUTES = ("part", "policy_return", "rank", "rung")
+_REFERENCES = (
+    ("ref_min_score", "ref_min_evaluation", "return_mean"),
+    ("num_episodes_average_score", "ref_min_evaluation", "episodes"),
+    ("ref_max_score", "ref_max_evaluation", "return_mean"),
+)
+
+
+@dataclass(frozen=True)
+class Content:
+    """What the episodes of a dataset say together.
+
+    Attributes:
+        identities: the variants and tiers of the episodes, each pair once.
+        episodes: number of episodes.
+        runs: the number of the first episode of each run of episodes that have the same attributes of
+            their policy (``rank``, ``rung``, ...), and these attributes.
+        unreplayed: number of episodes that were imported without seeds.
+        repeated: number of episodes that are equal to an earlier one.
+    """
+
+    identities: Sequence[tuple[Variant, str]]
+    episodes: int
+    runs: Sequence[tuple[int, Mapping[str, Any]]]
+    unreplayed: int
+    repeated: int
+
+
+def is_collection(metadata: Mapping[str, Any]) -> bool:
+    """Return whether a dataset's metadata says that it combines others."""
+    return bool(metadata.get("combined_datasets"))
+
+
+def is_recorded(metadata: Mapping[str, Any]) -> bool:
+    """Return whether a dataset is the record of a training run, whose seeds are its own."""
+    return metadata.get("tier") == REPLAY and "policy_sha256" not in metadata
+
+
+def seed(metadata: Mapping[str, Any], number: int) -> int | None:
+    """Return the seed of an episode of a dataset; None where the metadata do not decide it."""
+    base = metadata.get("seed")
+    if is_collection(metadata) or is_recorded(metadata) or not _is_count(base):
+        return None
+    return episode_seed(int(base), number)  # type: ignore[arg-type]
+
+
+def policy_attributes(attributes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the attributes of an episode that state which policy of its tier made it."""
+    stated = {key: plain(attributes[key]) for key in _POLICY_ATTRIBUTES if key in attributes}
+    return {
+        key: value if isinstance(value, str | int | float) else shown(value) for key, value in stated.items()
+    }
+
+
+def sources(metadata: Mapping[str, Any], variant: Variant, tier: str) -> list[str]:
+    """Return the datasets that an episode may name as its source.
+
+    Raises:
+        VariantError: when ``tier`` is no tier name.
+    """
+    combined = metadata["combined_datasets"] if is_collection(metadata) else []
+    return list(dict.fromkeys([variant.dataset_id(tier), *(combined if isinstance(combined, list) else ())]))
+
+
+def spaces(robot: str) -> dict[str, Any]:
+    """Return the serialised spaces of a robot's environments, as JSON values."""
+    sizes = specification(robot).sizes
+    return {
+        f"{name}_space": {
+            "type": "Box",
+            "dtype": dtype,
+            "shape": [size],
+            "low": [-bound] * size,
+            "high": [bound] * size,
+        }
+        for name, dtype, size, bound in (
+            ("observation", "float64", sizes[0], float("inf")),
+            ("action", "float32", sizes[1], 1.0),
+        )
+    }
+
+
+def compare(metadata: Mapping[str, Any], content: Content) -> tuple[list[Finding], list[str]]:
+    """Compare the metadata of a dataset with what this package would write.
+
+    Returns:
+        The keys that are not as expected, and what cannot be checked, in words that follow "sound, but".
+    """
+    exceptions = list(_exceptions(metadata, content))
+    expected = _identity(metadata, content) | _versions(metadata, content)
+    found: list[Finding] = []
+    if not is_collection(metadata):
+        variant, tier = content.identities[0]
+        imported = content.unreplayed > 0
+        found += _origin(metadata, imported)
+        expected |= _shape_of_references(metadata)
+        known = _known_parts(variant, tier, metadata)
+        if known is not None:
+            expected["algorithm_name"] = ", ".join(dict.fromkeys(part.policy.algorithm for part in known))
+            expected["policy_deterministic"] = all(part.policy.deterministic for part in known)
+            found += _runs(content.runs, known)
+        elif "policy_sha256" in metadata:
+            exceptions.append("the policy that made it is not known here")
+        references = _references(variant)
+        stated = {key: metadata.get(key) for key in references}
+        if references and str(expert_record(variant).get("weights_sha256")) in _policies(metadata):
+            expected |= references
+        elif not references or not _equal(stated, references):
+            exceptions.append("its reference scores are not known here")
+    found += [
+        Finding(f"metadata.json/{key}", f"is {shown(metadata.get(key))}, not {shown(value)}")
+        for key, value in expected.items()
+        if not _equal(metadata.get(key), value)
+    ]
+    return found, exceptions
+
+
+def _exceptions(metadata: Mapping[str, Any], content: Content) -> Iterator[str]:
+    if content.unreplayed == content.episodes:
+        yield "not replayed: it was imported without seeds"
+    elif content.unreplayed:
+        yield (
+            f"{content.unreplayed} of {content.episodes} episodes were not replayed: "
+            "they were imported without seeds"
+        )
+    if content.repeated:
+        yield f"{content.repeated} of its episodes are equal to earlier ones"
+    if any(isinstance(variant, OriginalVariant) for variant, _ in content.identities):
+        yield "its models are the ones that it stores: the original archive is not known here"
+    if is_collection(metadata) and names_variant(str(metadata.get("dataset_id"))):
+        yield "it is a collection under the id of a variant"
+    if is_recorded(metadata):
+        yield "it records a training run, whose seeds are its own"
+
+
+def _identity(metadata: Mapping[str, Any], content: Content) -> dict[str, Any]:
+    """Return what the variants and tiers of the episodes decide; None where they differ."""
+    every = [file_format.attributes(variant, tier) for variant, tier in content.identities]
+    expected: dict[str, Any] = {
+        key: every[0][key] if all(one[key] == every[0][key] for one in every) else None
+        for key in file_format.IDENTITY
+    }
+    if not is_collection(metadata) or names_variant(str(metadata.get("dataset_id"))):
+        ids = {variant.dataset_id(tier) for variant, tier in content.identities}
+        expected["dataset_id"] = ids.pop() if len(ids) == 1 else "a variant's: its episodes are of several"
+    return expected
+
+
+def _versions(metadata: Mapping[str, Any], content: Content) -> dict[str, Any]:
+    """Return what the stated versions decide. Early collections state none."""
+    versions = metadata.get("versions")
+    if versions is None and is_collection(metadata):
+        return {}
+    if not isinstance(versions, dict) or any(not isinstance(versions.get(name), str) for name in PACKAGES):
+        return {"versions": f"the versions of {', '.join(PACKAGES)}"}
+    expected: dict[str, Any] = {"minari_version": versions["minari"]}
+    if not is_collection(metadata):
+        expected["requirements"] = requirements(versions)
+    if is_collection(metadata) or not isinstance(content.identities[0][0], OriginalVariant):
+        expected["code_permalink"] = code_address(versions)
+    return expected
+
+
+def _origin(metadata: Mapping[str, Any], imported: bool) -> Iterator[Finding]:
+    """Report a dataset that does not state where its episodes come from."""
+    if imported:
+        if not isinstance(metadata.get("source"), str):
+            yield Finding(
+                "metadata.json/source", "is missing, but the episodes state that they were imported"
+            )
+        for key in ("seed", "policy_sha256"):
+            if key in metadata:
+                yield Finding(f"metadata.json/{key}", "is stated, but the episodes have no seeds")
+        return
+    if not _is_count(metadata.get("seed")):
+        yield Finding("metadata.json/seed", f"is {shown(metadata.get('seed'))}, not a base seed")
+    if not is_recorded(metadata) and not _policies(metadata):
+        stated = shown(metadata.get("policy_sha256"))
+        yield Finding("metadata.json/policy_sha256", f"is {stated}, not the digest of a policy")
+    if not isinstance(metadata.get("policy_deterministic"), bool):
+        stated = shown(metadata.get("policy_deterministic"))
+        yield Finding("metadata.json/policy_deterministic", f"is {stated}, not true or false")
+
+
+def _policies(metadata: Mapping[str, Any]) -> list[str]:
+    """Return the digests of the policies that made a dataset; empty where it states none."""
+    stated = metadata.get("policy_sha256")
+    return stated.split(",") if isinstance(stated, str) and _POLICY_DIGESTS.fullmatch(stated) else []
+
+
+def _known_parts(variant: Variant, tier: str, metadata: Mapping[str, Any]) -> list[TierPart] | None:
+    """Return the parts of a dataset whose policies are all known here, or None."""
+    if isinstance(variant, OriginalVariant):
+        return None
+    stochastic = metadata.get("policy_deterministic") is False
+    try:
+        known = parts(variant, tier, metadata["total_episodes"], path=None, stochastic=stochastic)
+    except ImujocoError:
+        return None
+    return known if [part.policy.sha256 for part in known] == _policies(metadata) else None
+
+
+def _runs(runs: Sequence[tuple[int, Mapping[str, Any]]], known: Sequence[TierPart]) -> Iterator[Finding]:
+    """Report episodes that do not state the attributes of the policy that made them."""
+    first = 0
+    for part in known:
+        for start, attributes in runs:
+            inside = first <= start < first + part.episodes
+            # The run before may go on into this part.
+            if (inside or (start < first and _next(runs, start) > first)) and attributes != part.attributes:
+                wanted = shown(dict(part.attributes))
+                yield Finding(f"episode_{max(start, first)}@", f"states {shown(attributes)}, not {wanted}")
+        first += part.episodes
+
+
+def _next(runs: Sequence[tuple[int, Mapping[str, Any]]], start: int) -> float:
+    return min((other for other, _ in runs if other > start), default=float("inf"))
+
+
+def _references(variant: Variant) -> dict[str, Any]:
+    """Return the reference scores in the record of a variant's expert; empty where it has none."""
+    if isinstance(variant, OriginalVariant) or "random" not in expert_record(variant):
+        return {}
+    return reference_scores(variant)
+
+
+def _shape_of_references(metadata: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the reference scores that the stated evaluations give."""
+    evaluations = {key: metadata.get(key) for _, key, _ in _REFERENCES}
+    return {
+        score: found[field] if isinstance(found, dict) and _is_number(found.get(field)) else None
+        for score, key, field in _REFERENCES
+        for found in (evaluations[key],)
+    }
+
+
+def _is_count(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < float("inf")
+
+
+def _equal(stated: Any, expected: Any) -> bool:
+    """Return whether two JSON values are equal, type by type."""
+    return json.dumps(stated, sort_keys=True) == json.dumps(expected, sort_keys=True)
