@@ -205,7 +205,8 @@ def verify_datasets(
 ) -> None:
     """Check datasets for damage, and replay every episode.
 
-    It checks structure, attributes and digests, and that every replayed value is equal, bit for bit. With
+    It checks structure, attributes and digests, that the dataset is what this package makes for its id, and
+    that every replayed value is equal, bit for bit. It states what it cannot check of a dataset. With
     filters, it checks the datasets of the chosen variants that are in the Minari root. It exits with 1
     when a dataset has a finding.
 
