@@ -30,9 +30,8 @@ def length(episode: Episode) -> int:
 
 def arrays(episode: Episode) -> Iterator[Finding]:
     """Report arrays that are missing, or whose types and shapes do not fit."""
-    further = sorted(set(episode.arrays) - set(file_format.ARRAYS))
-    if further:
-        yield Finding(f"{episode.name}/{further[0]}", "is an array that this package does not write")
+    for name in sorted(set(episode.arrays) - set(file_format.ARRAYS)):
+        yield Finding(f"{episode.name}/{name}", "is an array that this package does not write")
     missing = [key for key in file_format.ARRAYS if key not in episode.arrays]
     if missing:
         yield Finding(episode.name, f"has no {missing[0]}")

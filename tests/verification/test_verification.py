@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import resource
 import shutil
 import subprocess
 import sys
@@ -506,9 +505,18 @@ class TestScreening:
         allowed = 6_000_000 * 1024
         assert allowed < child_process.MAX_MEMORY_BYTES
         done = subprocess.run(
-            [sys.executable, "-m", "imujoco_minari", "verify", ID],
+            [
+                "sh",
+                "-c",
+                f'ulimit -v {allowed // 1024}; exec "$@"',
+                "sh",
+                sys.executable,
+                "-m",
+                "imujoco_minari",
+                "verify",
+                ID,
+            ],
             env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
-            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (allowed, allowed)),
             capture_output=True,
             text=True,
             check=False,

@@ -27,6 +27,17 @@ from imujoco_minari.variants import Variant
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for orphans in /proc")
 
 
+@pytest.fixture(autouse=True)
+def heed_interrupts() -> Iterator[None]:
+    """Let child processes be interrupted, also where tests run in the background of a script.
+
+    Such a script ignores interrupts, and a child inherits that. A handler is not inherited.
+    """
+    previous = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, previous)
+
+
 @pytest.mark.parametrize("whole_group", [True, False], ids=["as a terminal does", "the parent only"])
 @pytest.mark.parametrize("jobs", ["1", "2"])
 def test_publish(jobs: str, whole_group: bool, root: Path) -> None:
@@ -37,8 +48,6 @@ def test_publish(jobs: str, whole_group: bool, root: Path) -> None:
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
-        # What runs in the background of a script, as tests may, ignores interrupts, and so do its children.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     # Episodes are being written when the file is there.
     end = time.monotonic() + 60
@@ -231,7 +240,6 @@ app.main()
         text=True,
         check=False,
         cwd=tmp_path,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
 
@@ -256,6 +264,5 @@ app.main()
         capture_output=True,
         text=True,
         check=False,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
