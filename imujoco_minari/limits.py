@@ -110,9 +110,10 @@ def _result(child: subprocess.Popen[bytes], deadline: float, memory: int, second
         return JobError(f"kills the process ({signal.Signals(-child.returncode).name})")
     if child.returncode:
         lines = complaint.decode("utf-8", "replace").strip().splitlines()
-        if any(line.startswith("MemoryError") for line in lines[-1:]):
+        reason = lines[-1] if lines else "no reason given"
+        if reason.startswith("MemoryError"):
             return JobError(f"needs more than {memory} bytes of memory")
-        return JobError(f"fails: {lines[-1][:200] if lines else 'no reason given'}")
+        return JobError(f"fails: {reason[:200]}")
     return output
 
 

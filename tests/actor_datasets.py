@@ -22,21 +22,22 @@ def publish_actors(dataset_ids: Iterable[str], root: Path, episodes: int = 8) ->
         for dataset_id in dataset_ids:
             variant, tier = parse_dataset_id(dataset_id)
             weights = root / f"{variant.robot}.safetensors"
-            save_file(_weights(*specification(variant.robot).sizes), weights)
+            save_file(random_weights(*specification(variant.robot).sizes), weights)
             publish(variant, tier=tier, episodes=episodes, policy=weights)
             weights.unlink()
 
 
-def _weights(observations: int, actions: int) -> dict[str, np.ndarray]:
-    rng = np.random.default_rng(0)
+def random_weights(observations: int, actions: int, width: int = 64, seed: int = 0) -> dict[str, np.ndarray]:
+    """Return a SAC actor's arrays, with two hidden layers of ``width`` and random weights."""
+    rng = np.random.default_rng(seed)
     sizes = {
-        "latent_pi.0": (64, observations),
-        "latent_pi.2": (64, 64),
-        "mu": (actions, 64),
-        "log_std": (actions, 64),
+        "latent_pi.0": (width, observations),
+        "latent_pi.2": (width, width),
+        "mu": (actions, width),
+        "log_std": (actions, width),
     }
     weights = {}
-    for name, (wide, deep) in sizes.items():
-        weights[f"{name}.weight"] = (rng.normal(size=(wide, deep)) / np.sqrt(deep)).astype(np.float32)
-        weights[f"{name}.bias"] = np.zeros(wide, np.float32)
+    for name, (outputs, inputs) in sizes.items():
+        weights[f"{name}.weight"] = (rng.normal(size=(outputs, inputs)) / np.sqrt(inputs)).astype(np.float32)
+        weights[f"{name}.bias"] = np.zeros(outputs, np.float32)
     return weights

@@ -328,6 +328,16 @@ def progress(description: str, total: int, *, quiet: bool = False) -> Iterator[C
         yield lambda: bar.advance(task)
 
 
+def advancing(
+    outcomes: Iterable[_Outcome], description: str, total: int, *, quiet: bool
+) -> Iterator[_Outcome]:
+    """Yield the outcomes of a batch behind a bar that each of them advances by one."""
+    with progress(description, total, quiet=quiet) as advance:
+        for outcome in outcomes:
+            yield outcome
+            advance()
+
+
 def _version(show: bool) -> None:
     if show:
         from imujoco_minari import __version__

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from imujoco_minari.cli.app import (
+    advancing,
     app,
     counted,
     exit_code,
@@ -41,6 +42,7 @@ from imujoco_minari.cli.options import (
 )
 from imujoco_minari.cli.selection import Filters, select, select_datasets
 from imujoco_minari.errors import ImujocoError, NotFoundError, VariantError
+from imujoco_minari.storage import minari_root
 from imujoco_minari.variants import EXPERT
 
 if TYPE_CHECKING:
@@ -108,10 +110,8 @@ def _published(
     from imujoco_minari.publishing.publisher import Published, publish, publish_all
 
     if len(recipes) > 1 or backend is not None:
-        with progress("publishing", len(recipes), quiet=quiet) as advance:
-            for outcome in publish_all(recipes, jobs=jobs, force=force, backend=backend):
-                yield outcome
-                advance()
+        outcomes = publish_all(recipes, jobs=jobs, force=force, backend=backend)
+        yield from advancing(outcomes, "publishing", len(recipes), quiet=quiet)
         return
     with progress(str(recipes[0].variant), recipes[0].episodes, quiet=quiet) as advance:
         try:
@@ -257,16 +257,10 @@ def _print_findings(dataset_id: str, findings: Findings) -> None:
 
 def _episodes(dataset_id: str) -> int:
     """Return how many episodes a dataset states that it has; used for the progress bar only."""
-    episodes = _stated(dataset_id).get("total_episodes")
-    return episodes if isinstance(episodes, int) else 0
-
-
-def _stated(dataset_id: str) -> dict[str, Any]:
-    """Return a dataset's metadata; empty when they cannot be read."""
-    from imujoco_minari.storage import minari_root
     from imujoco_minari.storage.metadata import read_metadata
 
-    return read_metadata(minari_root.dataset_folder(dataset_id) / "data")
+    episodes = read_metadata(minari_root.dataset_folder(dataset_id) / "data").get("total_episodes")
+    return episodes if isinstance(episodes, int) else 0
 
 
 @app.command("delete")
@@ -293,7 +287,6 @@ def delete_datasets(
     `imujoco delete --all --with-base --yes`
     """
     from imujoco_minari.publishing.removal import delete
-    from imujoco_minari.storage import minari_root
 
     chosen = select_datasets(ids, Filters(robot, category, everything, with_base), tiers)
     if not yes:
@@ -310,8 +303,6 @@ def _ask(ids: list[str]) -> None:
         typer.Abort: when the answer is no.
         VariantError: when nobody can answer.
     """
-    from imujoco_minari.storage import minari_root
-
     if not sys.stdin.isatty():
         raise VariantError(f"deleting {counted(len(ids), 'dataset')} needs an answer: give --yes in a script")
     for dataset_id in ids:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from imujoco_minari.cli.app import FAILED, app, counted, gather, out, print_json, print_table, progress, say
+from imujoco_minari.cli.app import FAILED, advancing, app, counted, gather, out, print_json, print_table, say
 from imujoco_minari.cli.datasets import describe_published
 from imujoco_minari.cli.options import AsJson, Category, Columns, Episodes, Force, Robot, Seed, VariantIds
 from imujoco_minari.errors import DatasetNotFoundError, VariantError, suggestion
@@ -52,8 +52,8 @@ def import_archive_command(
     chosen = _chosen(archive, variants or [], robot, category)
     how = Import(columns, recollect, episodes, seed, force)
     _say_ignored(archive)
-    with progress("importing", len(chosen), quiet=as_json) as advance:
-        gather(import_archive(archive, chosen, how, advance), describe_published, as_json=as_json)
+    outcomes = advancing(import_archive(archive, chosen, how), "importing", len(chosen), quiet=as_json)
+    gather(outcomes, describe_published, as_json=as_json)
 
 
 @app.command("diff-catalogue")

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
-from imujoco_minari.cli.app import app, gather, progress
+from imujoco_minari.cli.app import advancing, app, gather
+from imujoco_minari.cli.estimates import size_text
 from imujoco_minari.cli.options import (
     AsJson,
     Category,
@@ -24,8 +24,6 @@ from imujoco_minari.errors import RemoteError
 
 if TYPE_CHECKING:
     from imujoco_minari.remotes import Pulled, Pushed
-
-_T = TypeVar("_T")
 
 
 @app.command("push")
@@ -54,9 +52,9 @@ def push_datasets(
 
     chosen = select_datasets(ids, Filters(robot, category, everything, with_base), tiers)
     address = _address(remote)
-    with progress(f"pushing to {address}", len(chosen), quiet=as_json) as advance:
-        outcomes = _advancing(push_all(chosen, address, token=token, force=force), advance)
-        gather(outcomes, _describe_push, as_json=as_json)
+    outcomes = push_all(chosen, address, token=token, force=force)
+    shown = advancing(outcomes, f"pushing to {address}", len(chosen), quiet=as_json)
+    gather(shown, _describe_push, as_json=as_json)
 
 
 @app.command("pull")
@@ -85,15 +83,9 @@ def pull_datasets(
 
     chosen = select_datasets(ids, Filters(robot, category, everything, with_base), tiers, published=False)
     address = _address(remote)
-    with progress(f"pulling from {address}", len(chosen), quiet=as_json) as advance:
-        outcomes = _advancing(pull_all(chosen, address, token=token, force=force), advance)
-        gather(outcomes, _describe_pull, as_json=as_json)
-
-
-def _advancing(outcomes: Iterator[_T], advance: Callable[[], None]) -> Iterator[_T]:
-    for outcome in outcomes:
-        yield outcome
-        advance()
+    outcomes = pull_all(chosen, address, token=token, force=force)
+    shown = advancing(outcomes, f"pulling from {address}", len(chosen), quiet=as_json)
+    gather(shown, _describe_pull, as_json=as_json)
 
 
 def _describe_push(pushed: Pushed) -> tuple[str, ...]:
@@ -101,7 +93,7 @@ def _describe_push(pushed: Pushed) -> tuple[str, ...]:
         return "left alone", f"{pushed.dataset_id}: {pushed.remote} has the same already"
     return (
         "pushed",
-        f"{pushed.dataset_id} to {pushed.remote}: {pushed.bytes / 1e6:.1f} MB, "
+        f"{pushed.dataset_id} to {pushed.remote}: {size_text(pushed.bytes)}, "
         f"read back and equal, in {pushed.seconds:.1f} s",
     )
 

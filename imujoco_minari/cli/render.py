@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from imujoco_minari.cli.app import app, counted, out, print_json, progress, say
+from imujoco_minari.cli.estimates import size_text
 from imujoco_minari.cli.options import AsJson, Force, Output, PolicyFile
 from imujoco_minari.errors import RenderingError, StorageError
 from imujoco_minari.variants import EXPERT, Variant
@@ -85,7 +86,7 @@ def render(
             f"{motion.variant}: {motion.title}, {facts['steps']} steps, {motion.duration:.1f} s, "
             f"return {motion.total:.1f}"
         )
-    out.print(f"wrote {target}: {counted(count, 'frame')}, {target.stat().st_size / 1000:.0f} kB")
+    out.print(f"wrote {target}: {counted(count, 'frame')}, {size_text(target.stat().st_size)}")
 
 
 def _motions(

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from imujoco_minari.cli.app import app, counted, gather, out, print_json, print_table, progress, say
+from imujoco_minari.cli.app import advancing, app, counted, gather, out, print_json, print_table, say
 from imujoco_minari.cli.datasets import describe_published
 from imujoco_minari.cli.estimates import training_line
 from imujoco_minari.cli.options import (
@@ -134,10 +134,8 @@ def _trained(
         os.nice(plan.nice)
         yield train(chosen[0], plan, _teller(quiet))
         return
-    with progress("training", len(chosen), quiet=quiet) as advance:
-        for outcome in train_all(chosen, plan, jobs=jobs, backend=backend):
-            yield outcome
-            advance()
+    outcomes = train_all(chosen, plan, jobs=jobs, backend=backend)
+    yield from advancing(outcomes, "training", len(chosen), quiet=quiet)
 
 
 def _teller(quiet: bool) -> OnInterval:

@@ -79,7 +79,7 @@ def departure(variant: OriginalVariant, mjcf: str) -> Departure:
 
 
 def coverage(variants: Iterable[OriginalVariant], robot: str | None, category: str | None) -> Coverage:
-    """Return which of the original's ids our catalogue lists, and which of ours the original has not."""
+    """Return which ids are in both catalogues, and which are in one of them only."""
     theirs = {str(variant) for variant in variants}
     ours = {str(variant) for variant in catalogue(robot, category)}
     return Coverage(*(tuple(sorted(ids)) for ids in (theirs & ours, theirs - ours, ours - theirs)))
@@ -88,7 +88,7 @@ def coverage(variants: Iterable[OriginalVariant], robot: str | None, category: s
 def common_differences(departures: Iterable[Departure]) -> dict[str, dict[Difference, int]]:
     """Return, robot by robot, the differences that most of its variants share and how many do.
 
-    One line of the robot's model that gym had otherwise shows in every variant of it.
+    Where gym's model of the robot differs from ours, every variant of the robot differs too.
     """
     counts: dict[str, Counter[Difference]] = {}
     totals: Counter[str] = Counter()
@@ -130,13 +130,14 @@ def _more_differences(ours: mujoco.MjModel, theirs: mujoco.MjModel) -> list[Diff
         if not np.isclose(first, second, rtol=1e-9, atol=1e-12):
             found.append(Difference(quantity, float(first), float(second), unit))
 
+    anchors = _anchors(ours), _anchors(theirs)
     # The original's model has been checked to have our joints and actuators, in our order.
     for i in range(ours.njnt):
         name = ours.joint(i).name
         for label, field, unit in _JOINT_VALUES:
             compare(f"{label} of {name}", getattr(ours, field)[i], getattr(theirs, field)[i], unit)
         for axis, number in (("x", 0), ("z", 2)):
-            first, second = (_anchors(model)[i][number] for model in (ours, theirs))
+            first, second = (places[i][number] for places in anchors)
             compare(f"{axis} of {name} in the rest pose", first, second, "m")
     for i in range(ours.nu):
         name = ours.joint(int(ours.actuator_trnid[i][0])).name

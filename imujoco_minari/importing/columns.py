@@ -1,8 +1,8 @@
 """Which column of an archive's table is what: guessed, and the guess checked against the robot's rules.
 
 The original documents only that a row begins with observation and action, and its reader takes the last
-column for the done flag. What stands between is found by trying what could: a reward must follow the
-robot's reward formula, a next observation must be the next row's observation.
+column for the done flag. The columns between them are found by trial: a reward must follow the robot's
+reward formula, and a next observation must be the next row's observation.
 """
 
 from __future__ import annotations
@@ -116,14 +116,15 @@ def read_table(
                 f"{name}: has {table.shape[1]} columns, but {columns} makes {found.width} for {robot}"
             )
         checks = _checks(table, found, robot)
-        # What the user states is believed, but for flags that are none.
+        # The user's statement is believed, unless the column of flags holds other numbers.
         if not checks[0].passed:
             raise DatasetError(f"{name}: {checks[0]}")
     return checked(_transitions(table, found), robot, name), found, checks
 
 
 def _detect(table: Array, robot: str, name: str) -> tuple[Layout, list[Check]]:
-    between = table.shape[1] - sum(specification(robot).sizes) - 1
+    known = sum(specification(robot).sizes)
+    between = table.shape[1] - known - 1
     candidates = [
         layout(",".join(("observation", "action", *middle, "done")), robot)
         for middle in (
@@ -139,7 +140,6 @@ def _detect(table: Array, robot: str, name: str) -> tuple[Layout, list[Check]]:
     fitting = [(candidate, checks) for candidate, checks in tried if all(check.passed for check in checks)]
     if len(fitting) == 1:
         return fitting[0]
-    known = sum(specification(robot).sizes)
     head = f"{name}: has {table.shape[1]} columns, {known} of them {robot}'s observation and action"
     if not candidates:
         found = f"the {max(between + 1, 0)} others are not reward, next observation and done"

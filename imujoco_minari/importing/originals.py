@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -58,12 +58,7 @@ class Import:
         return RECOLLECTED if self.recollect else EXPERT
 
 
-def import_archive(
-    archive: Archive,
-    variants: Iterable[OriginalVariant],
-    how: Import,
-    on_variant: Callable[[], None] | None = None,
-) -> Iterator[Published]:
+def import_archive(archive: Archive, variants: Iterable[OriginalVariant], how: Import) -> Iterator[Published]:
     """Publish variants of an archive and yield each outcome as it comes, failures included."""
     for variant in variants:
         dataset_id = variant.dataset_id(how.tier)
@@ -71,8 +66,6 @@ def import_archive(
             yield (recollect if how.recollect else import_variant)(archive, variant, how)
         except ImujocoError as error:
             yield Published(dataset_id, error=str(error), missing=isinstance(error, NotFoundError))
-        if on_variant is not None:
-            on_variant()
 
 
 def import_variant(archive: Archive, variant: OriginalVariant, how: Import) -> Published:

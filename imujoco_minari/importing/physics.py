@@ -1,8 +1,8 @@
 """One step of a robot from any of its observations, by today's simulator.
 
 An observation of these robots is their whole state but for the horizontal position, which nothing
-depends on, so a recorded step can be simulated again on its own. That checks imported data against the
-model they are said to come from, and stands in where a file lacks what follows its last step.
+depends on, so a recorded step can be simulated again on its own. This compares imported data with the
+variant's model. It also gives the observation after the last step, where a file lacks it.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ CLIPPED = 10.0
 class Fidelity:
     """How far recorded steps are from the same steps simulated today.
 
-    Of each of ``rows`` steps the largest deviation of a position (m, rad), of a velocity (m/s, rad/s) and
-    of the reward counts; given are their median and maximum, None where there is nothing to compare.
+    Each step has a largest deviation of a position (m, rad) and of a velocity (m/s, rad/s), and a deviation
+    of the reward. The fields are the medians and maxima over ``rows`` steps, or None without such values.
     """
 
     rows: int

@@ -7,7 +7,7 @@ and returns a mask, since an episode may end early.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +18,7 @@ from imujoco_minari.loading.arguments import whole_number
 from imujoco_minari.loading.batches import padded_rows
 from imujoco_minari.loading.episode_arrays import Arrays, check_arrays
 from imujoco_minari.loading.load import arrays
-
-if TYPE_CHECKING:
-    from imujoco_minari.loading.selection import Datasets
+from imujoco_minari.loading.selection import Datasets
 
 Array = NDArray[Any]
 

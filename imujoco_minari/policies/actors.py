@@ -121,7 +121,7 @@ class Actor:
             )
 
     def __repr__(self) -> str:
-        widths = [self.observation_size, *(layer.bias.size for layer in self._hidden), self.action_size]
+        widths = [self.observation_size, *self.hidden_sizes, self.action_size]
         return (
             f"Actor({self.algorithm}, layers {'-'.join(map(str, widths))}, {self.activation}, "
             f"{'deterministic' if self.deterministic else 'stochastic'})"
@@ -136,6 +136,11 @@ class Actor:
     def action_size(self) -> int:
         """Length of an action."""
         return int(self.weights["mu.bias"].shape[0])
+
+    @property
+    def hidden_sizes(self) -> list[int]:
+        """Number of units in each hidden layer."""
+        return [layer.bias.size for layer in self._hidden]
 
     @cached_property
     def sha256(self) -> str:

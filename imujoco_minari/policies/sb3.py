@@ -38,14 +38,13 @@ def export_zip(variant: Variant, path: Path, actor: Actor | None = None, *, forc
     actor = expert_actor(variant) if actor is None else actor
     actor.check(variant.robot)
     activation = getattr(torch.nn, actor.activation)
-    widths = [
-        int(actor.weights[f"latent_pi.{2 * i}.bias"].shape[0])
-        for i in range(sum(name.startswith("latent_pi") for name in actor.weights) // 2)
-    ]
     env = make(variant)
     # The smallest buffer: the exported agent has no transitions.
     model = SAC(
-        "MlpPolicy", env, buffer_size=1, policy_kwargs={"net_arch": widths, "activation_fn": activation}
+        "MlpPolicy",
+        env,
+        buffer_size=1,
+        policy_kwargs={"net_arch": actor.hidden_sizes, "activation_fn": activation},
     )
     state = {name: torch.from_numpy(array.copy()) for name, array in actor.weights.items()}
     try:

@@ -80,7 +80,7 @@ def expert_policies(robot: str, category: str | None = None) -> dict[str, Policy
         category: return the base's policy and those of this category only.
 
     Raises:
-        PolicyNotFoundError: if trained are none.
+        PolicyNotFoundError: if no expert of them has been trained.
     """
     trained = set(expert_variants())
     chosen = [variant for variant in columns(robot, category) if variant in trained]
@@ -96,7 +96,7 @@ def columns(robot: str, category: str | None = None) -> tuple[Variant, ...]:
     """Return the variants to evaluate a robot's policies on: its base, then those of the catalogue.
 
     Raises:
-        VariantError: if trained is no such robot or category.
+        VariantError: if the robot or the category does not exist.
     """
     return (Variant(robot, BASE, 0, ""), *catalogue(robot, category))
 

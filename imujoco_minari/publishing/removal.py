@@ -10,20 +10,20 @@ import h5py
 
 from imujoco_minari.errors import DatasetError, ImujocoError, NotFoundError
 from imujoco_minari.storage import file_format, minari_root, transactions
-from imujoco_minari.storage.metadata import read_metadata
+from imujoco_minari.storage.metadata import METADATA_FILE, read_metadata
 from imujoco_minari.storage.missing import not_in_root
 
 
 @dataclass(frozen=True)
 class Deleted:
-    """What became of one dataset that was to be deleted.
+    """The outcome of deleting one dataset.
 
     Attributes:
         dataset_id: the dataset's id.
-        path: where it was.
+        path: its former folder; None if the deletion failed.
         bytes: size of its files.
-        error: why it was not deleted; empty when it was.
-        missing: whether there was no such dataset.
+        error: why the deletion failed; empty on success.
+        missing: whether it failed because the root has no such dataset.
     """
 
     dataset_id: str
@@ -34,14 +34,14 @@ class Deleted:
 
 
 def delete(dataset_ids: Sequence[str], *, force: bool = False) -> Iterator[Deleted]:
-    """Delete datasets from the Minari root and yield each outcome as it comes, failures included.
+    """Delete datasets from the Minari root and yield each outcome when it is ready, failures included.
 
     A dataset disappears in one step. A dataset whose episodes a linked collection refers to is not
-    deleted, unless the collection is deleted too. A folder that holds anything beside one dataset is
+    deleted, unless the collection is deleted too. A folder that has other files too is
     never deleted.
 
     Args:
-        dataset_ids: which datasets.
+        dataset_ids: the datasets.
         force: delete datasets that linked collections refer to. Those collections become unreadable.
     """
     links = linked_collections()
@@ -66,7 +66,7 @@ def _delete(dataset_id: str, collections: set[str]) -> Deleted:
     if not minari_root.exists(dataset_id):
         raise not_in_root(dataset_id)
     data = folder / "data"
-    if not (file_format.main_file(data).is_file() or (data / "metadata.json").is_file()):
+    if not (file_format.main_file(data).is_file() or (data / METADATA_FILE).is_file()):
         raise DatasetError(f"{dataset_id} was not deleted: there is no dataset at {folder}")
     others = sorted(path.name for path in folder.iterdir() if path.name != "data")
     if others:
@@ -84,10 +84,10 @@ def _delete(dataset_id: str, collections: set[str]) -> Deleted:
 
 
 def linked_collections() -> dict[str, set[str]]:
-    """Return, for each dataset that linked collections of the root refer to, the ids of those."""
+    """Return the ids of the linked collections of the root that refer to each dataset."""
     found: dict[str, set[str]] = {}
     root = minari_root.datasets_root()
-    for file in root.glob("**/data/metadata.json"):
+    for file in root.glob(f"**/data/{METADATA_FILE}"):
         data = file.parent
         sources = read_metadata(data).get("combined_datasets")
         if isinstance(sources, list) and transactions.STAGING not in file.parts and _is_linked(data):

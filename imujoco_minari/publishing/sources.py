@@ -63,9 +63,8 @@ class Source:
         """
         try:
             with h5py.File(self.file, "r") as file:
-                if self.folder != minari_root.folder_identity(self.data) or self._stated_digest(
-                    file.attrs
-                ) != self._stated_digest(self.metadata):
+                same_folder = self.folder == minari_root.folder_identity(self.data)
+                if not same_folder or file.attrs.get("content_sha256") != self.metadata.get("content_sha256"):
                     raise DatasetError(
                         f"{self.dataset_id} was replaced while it was read: nothing was combined; try again"
                     )
@@ -80,10 +79,6 @@ class Source:
         if all(key in file.attrs for key in file_format.IDENTITY):
             return [{key: file.attrs[key] for key in file_format.IDENTITY}] * len(self.episodes)
         return copying.episode_attributes(file, self.episodes, file_format.IDENTITY)
-
-    @staticmethod
-    def _stated_digest(stated: Any) -> Any:
-        return stated.get("content_sha256")
 
 
 def open_source(dataset: MinariDataset | str) -> Source:

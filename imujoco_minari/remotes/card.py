@@ -18,6 +18,7 @@ from imujoco_minari.envs.differences import differences
 from imujoco_minari.errors import VariantError
 from imujoco_minari.policies.tiers import RANDOM, REPLAY, TIERS
 from imujoco_minari.storage.file_format import MAIN_FILE, REPLAYABLE
+from imujoco_minari.storage.metadata import read_metadata
 from imujoco_minari.variants import EXPERT, Variant, parse_dataset_id
 
 # The author that datasets of this package state.
@@ -32,8 +33,15 @@ CITATION = """@inproceedings{patacchiola2023comparing,
   note      = {The original iMuJoCo; data at https://zenodo.org/records/7971395}
 }"""
 
-_SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"))
-_LARGER_SIZES = ((10**7, "1M<n<10M"), (10**8, "10M<n<100M"), (10**9, "100M<n<1B"))
+_SIZES = (
+    (10**3, "n<1K"),
+    (10**4, "1K<n<10K"),
+    (10**5, "10K<n<100K"),
+    (10**6, "100K<n<1M"),
+    (10**7, "1M<n<10M"),
+    (10**8, "10M<n<100M"),
+    (10**9, "100M<n<1B"),
+)
 _TAGS = ("minari", "gymnasium", "mujoco", "imitation-learning", "offline-reinforcement-learning", "imujoco")
 
 
@@ -56,7 +64,7 @@ def front_matter(title: str, license_: str, steps: int, tags: Sequence[str] = ()
 
 def size_category(rows: int) -> str:
     """Return the Hub's size category of a dataset with this number of rows."""
-    for limit, name in (*_SIZES, *_LARGER_SIZES):
+    for limit, name in _SIZES:
         if rows < limit:
             return name
     return "n>1B"
@@ -69,7 +77,7 @@ def dataset_card(data: Path, remote: str) -> str:
         data: the dataset's ``data`` folder.
         remote: address of the remote that shows the card.
     """
-    metadata = json.loads((data / "metadata.json").read_text("utf-8"))
+    metadata = read_metadata(data)
     dataset_id = metadata["dataset_id"]
     with h5py.File(data / MAIN_FILE, "r") as file:
         episodes = [file[name].attrs for name in file]

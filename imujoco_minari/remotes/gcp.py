@@ -80,7 +80,7 @@ class BucketStore(GCPStorage):  # type: ignore[misc,unused-ignore]
     def upload_dataset(self, dataset_id: str, card: str | None = None) -> None:
         """Upload a dataset, its ``metadata.json`` last."""
         if card is not None:
-            self.bucket.blob(f"{dataset_id}/{CARD}").upload_from_string(card, "text/markdown; charset=utf-8")
+            self._write_card(dataset_id, card)
         for name in FILES:
             file = dataset_folder(dataset_id) / name
             if not self._holds_file(f"{dataset_id}/{name}", file):
@@ -88,7 +88,7 @@ class BucketStore(GCPStorage):  # type: ignore[misc,unused-ignore]
 
     def upload_card(self, namespace: str, card: str) -> None:
         """Replace the card of a namespace."""
-        self.bucket.blob(f"{namespace}/{CARD}").upload_from_string(card, "text/markdown; charset=utf-8")
+        self._write_card(namespace, card)
 
     def download_dataset(self, dataset_id: str, path: Path) -> None:
         """Download the files of a dataset by fixed names, so no name can lead out of ``path``."""
@@ -99,6 +99,9 @@ class BucketStore(GCPStorage):  # type: ignore[misc,unused-ignore]
                 self.bucket.blob(f"{dataset_id}/{name}").download_to_filename(str(target))
             except NotFound:
                 raise RemoteError(f"gcp://{self.bucket.name}: {dataset_id} has no {name}") from None
+
+    def _write_card(self, folder: str, card: str) -> None:
+        self.bucket.blob(f"{folder}/{CARD}").upload_from_string(card, "text/markdown; charset=utf-8")
 
     def _holds_file(self, path: str, file: Path) -> bool:
         blob = self.bucket.get_blob(path)

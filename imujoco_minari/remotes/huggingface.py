@@ -100,13 +100,7 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
         head = self._api.repo_info(self._repo_id(repository), repo_type="dataset").sha
         for name in FILES:
             try:
-                self._api.hf_hub_download(
-                    repo_id=self._repo_id(repository),
-                    filename=f"{folder}/{name}",
-                    repo_type="dataset",
-                    revision=head,
-                    local_dir=path / repository,
-                )
+                self._download_file(repository, f"{folder}/{name}", head, path / repository)
             except RemoteEntryNotFoundError:
                 raise RemoteError(f"hf://{self.name}: {dataset_id} has no {name}") from None
 
@@ -114,16 +108,20 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
         # A temporary folder, because stock Minari's cache may differ from the remote.
         with tempfile.TemporaryDirectory() as folder:
             try:
-                file = self._api.hf_hub_download(
-                    repo_id=self._repo_id(repository),
-                    filename=name,
-                    repo_type="dataset",
-                    revision=revision,
-                    local_dir=folder,
-                )
+                file = self._download_file(repository, name, revision, Path(folder))
             except (RemoteEntryNotFoundError, RepositoryNotFoundError):
                 return None
-            return Path(file).read_bytes()
+            return file.read_bytes()
+
+    def _download_file(self, repository: str, name: str, revision: str | None, folder: Path) -> Path:
+        file = self._api.hf_hub_download(
+            repo_id=self._repo_id(repository),
+            filename=name,
+            repo_type="dataset",
+            revision=revision,
+            local_dir=folder,
+        )
+        return Path(file)
 
     def _registry_including(self, repository: str, dataset_id: str, head: str) -> bytes:
         data = self._read_revision(repository, NAMESPACE_FILE, head)

@@ -158,7 +158,7 @@ class Run:
         self._checkpoint_file = folder / _CHECKPOINT_NAME
         arrays = load_arrays(self._checkpoint_file) if self._checkpoint_file.is_file() else {}
         if arrays:
-            self.progress = Progress(**json.loads(arrays["progress"].tobytes()))
+            self.progress = _stored_progress(arrays)
         self._agent = self._new_agent()
         if arrays:
             self._load_checkpoint(arrays)
@@ -319,8 +319,11 @@ _BUFFER_ARRAYS = ("observations", "next_observations", "actions", "rewards", "do
 
 def load_progress(folder: Path) -> Progress:
     """Return the progress in the last checkpoint of a state folder."""
-    arrays = load_arrays(folder / _CHECKPOINT_NAME)
-    return Progress(**json.loads(arrays["progress"].tobytes()))
+    return _stored_progress(load_arrays(folder / _CHECKPOINT_NAME))
+
+
+def _stored_progress(checkpoint: dict[str, Array]) -> Progress:
+    return Progress(**json.loads(checkpoint["progress"].tobytes()))
 
 
 def _strip_prefix(prefix: str, arrays: dict[str, Array]) -> dict[str, Array]:

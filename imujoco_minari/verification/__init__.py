@@ -28,6 +28,9 @@ from imujoco_minari.verification.replay import replay
 
 __all__ = ["Checked", "Finding", "Findings", "check", "inspect", "verify"]
 
+# How often a dataset is checked if other processes replace it during the check.
+_ATTEMPTS = 3
+
 
 def verify(
     dataset_id: str,
@@ -68,10 +71,6 @@ def verify(
     return findings
 
 
-# A dataset that another process replaces while it is checked is checked again, this often at most.
-_ATTEMPTS = 3
-
-
 def _check_dataset(
     dataset_id: str,
     data: Path,
@@ -83,7 +82,7 @@ def _check_dataset(
     """Check the dataset that lies in the folder ``data`` now."""
     checked = child_process.checked_apart(data, jobs if backend is None else 1)
     if isinstance(checked, Finding):
-        # What killed or held the child was HDF5; the files' own digests need none.
+        # HDF5 killed or held the child. The digests of the files do not need HDF5.
         metadata = read_metadata(data)
         return Findings([*(digests.files(data, metadata) if metadata else ()), checked])
     findings = checked.findings
@@ -135,7 +134,7 @@ def _replayed(
                 findings.append(finding)
                 if len(findings) >= MAX_FINDINGS:
                     break
-    except Exception as error:  # as above
+    except Exception as error:  # h5py and the simulator may raise anything on a damaged file
         findings.append(unreadable(data, error))
     return findings
 

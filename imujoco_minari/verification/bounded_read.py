@@ -1,4 +1,4 @@
-"""What of an HDF5 file may be read at all: everything is looked at before it is read, and within bounds.
+"""Checks every part of an HDF5 file before it is read: its kind, its size and where its values are.
 
 A file from outside may claim any shape, refer to other files, or hold groups within groups without
 end. An episode that passes is handed on as an :class:`Episode`, so that each object is opened once: by
@@ -100,12 +100,13 @@ def look(file: h5py.File, data: Path, number: int) -> Episode:
     """
     name = f"episode_{number}"
     link = file.get(name, getlink=True)
-    if not isinstance(link, h5py.HardLink):
+    linked = not isinstance(link, h5py.HardLink)
+    if linked:
         _follow(file, data, name)
     group = file[name].id
     if not isinstance(group, h5py.h5g.GroupID):
         raise UnreadableError(name, "is no group")
-    episode = Episode(name, not isinstance(link, h5py.HardLink), attributes(group, name))
+    episode = Episode(name, linked, attributes(group, name))
     _look_below(group, name, "", episode.arrays, [0])
     return episode
 
@@ -123,15 +124,14 @@ def attributes(item: Any, where: str) -> dict[str, Any]:
     for index in range(count):
         attribute = h5py.h5a.open(item, index=index)
         key = attribute.name.decode("utf-8", "surrogateescape")
+        place = f"{where}@{shown(key)[1:-1]}"
         shape, kind = attribute.shape, attribute.get_type()
         text = isinstance(kind, h5py.h5t.TypeStringID)
         dtype = _TEXT if text and kind.is_variable_str() else kind.dtype
         if not (text or dtype.kind in "fiub") or (text and shape != ()):
-            raise UnreadableError(f"{where}@{shown(key)[1:-1]}", "is neither a number nor a text")
+            raise UnreadableError(place, "is neither a number nor a text")
         if math.prod(shape) * dtype.itemsize > MAX_ATTRIBUTE_BYTES:
-            raise UnreadableError(
-                f"{where}@{shown(key)[1:-1]}", f"claims more than {MAX_ATTRIBUTE_BYTES} bytes"
-            )
+            raise UnreadableError(place, f"claims more than {MAX_ATTRIBUTE_BYTES} bytes")
         values = np.empty(shape, dtype)
         attribute.read(values)
         value = values[()]

@@ -15,7 +15,7 @@ from typing import Any
 import h5py
 
 from imujoco_minari.storage import file_format
-from imujoco_minari.storage.metadata import read_metadata
+from imujoco_minari.storage.metadata import METADATA_FILE, read_metadata
 from imujoco_minari.variants.original import CATALOGUE, variant_of
 from imujoco_minari.verification import bounded_read, digests, expected, identity, structure
 from imujoco_minari.verification.expected import Content
@@ -61,10 +61,10 @@ class PartialCheck:
         """Return the part of :meth:`to_json`.
 
         Raises:
-            ValueError, TypeError: when the text is of no part.
+            ValueError, TypeError, KeyError: when the text is not that of a part.
         """
-        said = json.loads(text)
-        return cls(**said | {"findings": [Finding(**finding) for finding in said["findings"]]})
+        values = json.loads(text)
+        return cls(**values | {"findings": [Finding(**finding) for finding in values["findings"]]})
 
 
 def check(data: Path) -> Checked:
@@ -103,14 +103,14 @@ def unreadable(data: Path, error: Exception) -> Finding:
 
 
 def _check(part: PartialCheck, data: Path, number: int, count: int) -> None:
-    missing = [name for name in ("metadata.json", file_format.MAIN_FILE) if not (data / name).is_file()]
+    missing = [name for name in (METADATA_FILE, file_format.MAIN_FILE) if not (data / name).is_file()]
     if missing:
         raise bounded_read.UnreadableError(missing[0], "is missing")
     metadata = read_metadata(data)
     if not metadata:
-        raise bounded_read.UnreadableError("metadata.json", "is no JSON object")
+        raise bounded_read.UnreadableError(METADATA_FILE, "is no JSON object")
     if number == 0:
-        # Before the file is opened: what its metadata would run is told even where it cannot be read.
+        # This comes before the file is opened, so that it is reported of a file that cannot be read too.
         part.findings += [*digests.files(data, metadata), *identity.loadable(metadata)]
     with h5py.File(file_format.main_file(data), "r") as file:
         bounded_read.check_names(file)

@@ -39,7 +39,7 @@ def arrays(episode: Episode, read: Mapping[str, Any]) -> Iterator[Finding]:
     for key, array in sorted(episode.arrays.items()):
         digests[key] = file_format.array_sha256(read[key] if key in read else array.read())
         stated = array.attributes.get(file_format.DIGEST)
-        if not isinstance(stated, str) or stated != digests[key]:
+        if not same(stated, digests[key]):
             yield Finding(
                 f"{episode.name}/{key}",
                 "does not have the digest stored with it" if stated is not None else "has no digest",
@@ -67,7 +67,7 @@ def whole(
         ("@content_sha256", root.get("content_sha256")),
         ("metadata.json/content_sha256", metadata.get("content_sha256")),
     ):
-        if not isinstance(stated, str) or stated != digest:
+        if not same(stated, digest):
             yield Finding(where, f"is {shown(stated)}, but the content's is {digest}")
 
 

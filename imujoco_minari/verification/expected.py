@@ -10,7 +10,7 @@ import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeGuard
 
 from imujoco_minari.errors import ImujocoError
 from imujoco_minari.policies import expert_record
@@ -67,7 +67,7 @@ def seed(metadata: Mapping[str, Any], number: int) -> int | None:
     base = metadata.get("seed")
     if is_collection(metadata) or is_recorded(metadata) or not _is_count(base):
         return None
-    return episode_seed(int(base), number)  # type: ignore[arg-type]
+    return episode_seed(base, number)
 
 
 def policy_attributes(attributes: Mapping[str, Any]) -> dict[str, Any]:
@@ -252,15 +252,14 @@ def _references(variant: Variant) -> dict[str, Any]:
 
 def _shape_of_references(metadata: Mapping[str, Any]) -> dict[str, Any]:
     """Return the reference scores that the stated evaluations give."""
-    evaluations = {key: metadata.get(key) for _, key, _ in _REFERENCES}
     return {
         score: found[field] if isinstance(found, dict) and _is_number(found.get(field)) else None
         for score, key, field in _REFERENCES
-        for found in (evaluations[key],)
+        for found in (metadata.get(key),)
     }
 
 
-def _is_count(value: Any) -> bool:
+def _is_count(value: Any) -> TypeGuard[int]:
     return isinstance(value, int) and not isinstance(value, bool) and value >= 0
 
 

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from imujoco_minari.errors import clipped
+
 MAX_FINDINGS = 100
 
 
@@ -66,5 +68,4 @@ def same(value: Any, expected: Any) -> bool:
 
 def shown(value: Any) -> str:
     """Return ``value`` as a message quotes it, however long it is."""
-    text = repr(plain(value))
-    return text if len(text) <= 80 else text[:77] + "..."
+    return clipped(repr(plain(value)))

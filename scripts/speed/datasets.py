@@ -72,7 +72,7 @@ def combining_row(ids: list[str], rounds: int) -> Row:
         },
         {
             "times stock": ("least", 4.0),
-            "link, ms an episode": ("most", 0.1),
+            "link, ms per episode": ("most", 0.1),
         },
         "limit is cp with fsync, since combining syncs too",
     )

@@ -7,6 +7,7 @@ from statistics import median
 
 from imujoco_minari.envs.registration import make
 from imujoco_minari.policies import expert_record, expert_variants
+from imujoco_minari.variants import BASE
 from scripts.speed.measuring import OURS, STOCK, Row
 
 # Number of steps of training from scratch.
@@ -22,7 +23,7 @@ def training_row(seconds: float) -> Row:
     from stable_baselines3 import SAC
     from stable_baselines3.common.callbacks import BaseCallback
 
-    records = [expert_record(variant) for variant in expert_variants() if variant.category != "base"]
+    records = [expert_record(variant) for variant in expert_variants() if variant.category != BASE]
     if not records:
         raise SystemExit("no trained variants to compare: train some with `imujoco train`")
 

@@ -11,6 +11,7 @@ import h5py
 import minari
 import numpy as np
 import pytest
+from actor_datasets import random_weights
 from minari.dataset.minari_storage import MinariStorage
 
 from imujoco_minari.envs.registration import make
@@ -148,18 +149,7 @@ def test_episodes_do_not_depend_on_what_was_recorded_before(tmp_path):
 
 
 def untrained(observations=11, actions=3, **options):
-    rng = np.random.default_rng(1)
-    shapes = {
-        "latent_pi.0": (256, observations),
-        "latent_pi.2": (256, 256),
-        "mu": (actions, 256),
-        "log_std": (actions, 256),
-    }
-    weights = {
-        f"{name}.bias": rng.normal(0, 0.1, size[0]).astype(np.float32) for name, size in shapes.items()
-    }
-    for name, size in shapes.items():
-        weights[f"{name}.weight"] = rng.normal(0, size[1] ** -0.5, size).astype(np.float32)
+    weights = random_weights(observations, actions, width=256, seed=1)
     return Actor(weights, **options)
 
 

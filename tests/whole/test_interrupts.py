@@ -215,6 +215,14 @@ sys.modules["imujoco_minari.cli.app"].main()
     assert (done.returncode, done.stderr) == (7, "")
 
 
+def result_of(script: str, folder: Path | None = None) -> tuple[int, str, str]:
+    """Run a script in a Python process and return its exit code, output and errors."""
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False, cwd=folder
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
 def test_one_that_an_import_loses_is_one_all_the_same(tmp_path: Path) -> None:
     (tmp_path / "loses_interrupts.py").write_text("""
 import signal
@@ -234,14 +242,7 @@ def run(arguments):
 app.run = run
 app.main()
 """
-    done = subprocess.run(
-        [sys.executable, "-c", script],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=tmp_path,
-    )
-    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+    assert result_of(script, tmp_path) == (130, "", "")
 
 
 @pytest.mark.parametrize("becomes", ["ImportError('initialization failed')", "interrupt"])
@@ -259,10 +260,4 @@ def run(arguments):
 app.run = run
 app.main()
 """
-    done = subprocess.run(
-        [sys.executable, "-c", script],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+    assert result_of(script) == (130, "", "")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
+from actor_datasets import random_weights
 from safetensors.numpy import save_file
 
 from imujoco_minari.publishing.publisher import publish, publish_all
@@ -16,19 +16,7 @@ from imujoco_minari.variants import Variant, specification
 @pytest.fixture
 def policy(tmp_path: Path) -> Path:
     """A SAC actor of random weights."""
-    rng = np.random.default_rng(0)
-    observations, actions = specification("hopper").sizes
-    layers = {
-        "latent_pi.0": (256, observations),
-        "latent_pi.2": (256, 256),
-        "mu": (actions, 256),
-        "log_std": (actions, 256),
-    }
-    weights = {}
-    for name, (outputs, inputs) in layers.items():
-        weights[f"{name}.weight"] = (rng.standard_normal((outputs, inputs)) / 16).astype(np.float32)
-        weights[f"{name}.bias"] = np.zeros(outputs, np.float32)
-    save_file(weights, tmp_path / "actor.safetensors")
+    save_file(random_weights(*specification("hopper").sizes), tmp_path / "actor.safetensors")
     return tmp_path / "actor.safetensors"
 
 

@@ -15,9 +15,10 @@ from typing import Any
 
 from imujoco_minari.errors import ImujocoError, RenderingError, StorageError
 from imujoco_minari.pictures.gallery.clips import ClipMaker
-from imujoco_minari.pictures.gallery.entries import RANDOM, Clip, Entry, Score, changes, scores
+from imujoco_minari.pictures.gallery.entries import Clip, Entry, Score, changes, scores
 from imujoco_minari.pictures.gallery.pages import index_page, variant_page
 from imujoco_minari.pictures.rendering.files import check_format
+from imujoco_minari.policies.tiers import RANDOM
 from imujoco_minari.storage.files import write_text
 from imujoco_minari.variants import Variant, bases, catalogue
 
@@ -60,7 +61,7 @@ def build(
     """
     check_format(Path("clip.mp4"))
     state = _read_state(folder)
-    order = _sort_by_catalogue({*variants, *(variant.base for variant in variants), *_drawn_variants(state)})
+    order = _sort_by_catalogue(_site_variants(variants, state))
     entries, failed, drawn = [], {}, 0
     with ClipMaker(folder) as maker:
         for variant in order:
@@ -87,7 +88,7 @@ def build(
 
 def steps(folder: Path, variants: Sequence[Variant]) -> int:
     """Return the number of calls of ``on_variant`` that :func:`build` will make."""
-    return len({*variants, *(variant.base for variant in variants), *_drawn_variants(_read_state(folder))})
+    return len(_site_variants(variants, _read_state(folder)))
 
 
 def _write_pages(folder: Path, entries: Sequence[Entry]) -> None:
@@ -125,8 +126,10 @@ def _read_state(folder: Path) -> dict[str, Any]:
     )
 
 
-def _drawn_variants(state: dict[str, Any]) -> set[Variant]:
-    return {Variant.parse(name) for name, known in state["variants"].items() if known}
+def _site_variants(variants: Sequence[Variant], state: dict[str, Any]) -> set[Variant]:
+    """Return ``variants``, their base robots and the variants that an earlier run has drawn."""
+    drawn = (Variant.parse(name) for name, known in state["variants"].items() if known)
+    return {*variants, *(variant.base for variant in variants), *drawn}
 
 
 def _stored_random_score(known: dict[str, Any]) -> Score | None:

@@ -18,7 +18,7 @@ from PIL import Image
 
 from imujoco_minari.envs.mjcf import canonical_mjcf, compile_mjcf, mjcf_sha256
 from imujoco_minari.errors import PolicyNotFoundError
-from imujoco_minari.pictures.gallery.entries import RANDOM, Clip
+from imujoco_minari.pictures.gallery.entries import Clip
 from imujoco_minari.pictures.rendering.files import write_picture, write_video
 from imujoco_minari.pictures.rendering.film import frames, pace
 from imujoco_minari.pictures.rendering.framing import Capsules, capsules, follow
@@ -26,6 +26,7 @@ from imujoco_minari.pictures.rendering.motion import Motion, perform
 from imujoco_minari.pictures.rendering.portraits import stance
 from imujoco_minari.pictures.rendering.studio import Studio
 from imujoco_minari.policies import Policy, load_policy
+from imujoco_minari.policies.tiers import RANDOM
 from imujoco_minari.variants import EXPERT, Variant, catalogue
 
 SIZE = (320, 240)

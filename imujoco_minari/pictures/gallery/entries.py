@@ -15,10 +15,10 @@ from imujoco_minari.envs.registration import make
 from imujoco_minari.errors import VariantError
 from imujoco_minari.policies import RandomPolicy, expert_record
 from imujoco_minari.policies.rollouts import evaluate
+from imujoco_minari.policies.tiers import RANDOM
 from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.variants import BASE, EXPERT, NAMESPACE, Variant, parse_dataset_id, specification
 
-RANDOM = "random"
 # A rough return is enough for a random policy. Records have a more exact one.
 RANDOM_EPISODES = 10
 
@@ -107,7 +107,7 @@ def scores(variant: Variant, random: Score | None = None) -> tuple[Score, ...]:
 
 
 def measured_random(variant: Variant) -> Score:
-    """Roll the random policy out and return what it scores."""
+    """Roll the random policy out and return its score."""
     env, policy = make(variant), RandomPolicy(specification(variant.robot).action_size)
     try:
         outcome = evaluate(env, policy, episodes=RANDOM_EPISODES)

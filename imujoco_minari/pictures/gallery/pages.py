@@ -10,7 +10,8 @@ from string import Template
 
 from imujoco_minari.envs.differences import Difference
 from imujoco_minari.pictures.gallery.clips import SIZE
-from imujoco_minari.pictures.gallery.entries import RANDOM, Entry, Score
+from imujoco_minari.pictures.gallery.entries import Entry, Score
+from imujoco_minari.policies.tiers import RANDOM
 from imujoco_minari.variants import BASE, CATEGORIES, EXPERT, ROBOTS, Variant, specification
 
 MINUS, DASH, SPACE = "\N{MINUS SIGN}", "\N{EN DASH}", "\N{NO-BREAK SPACE}"

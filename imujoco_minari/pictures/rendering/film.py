@@ -44,7 +44,7 @@ def pace(motions: Sequence[Motion], per_second: float = FRAMES_PER_SECOND) -> Pa
 
 
 def cameras(motions: Sequence[Motion], studio: Studio) -> list[Camera]:
-    """Return a camera a motion with a place for each of its positions, all at one distance."""
+    """Return one camera per motion, with a place for each position. All have one distance."""
     seen = [capsules(studio.model(motion.variant, motion.mjcf), motion.positions) for motion in motions]
     return follow(seen, studio.aspect, motions[0].timestep)
 

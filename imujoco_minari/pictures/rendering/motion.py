@@ -29,8 +29,8 @@ class Motion:
         positions: generalised positions, of shape (steps + 1, nq).
         rewards: of shape (steps,).
         timestep: seconds an environment step takes.
-        terminated: whether the robot left its healthy range, rather than that time ran out.
-        title: what made it move, in a few words.
+        terminated: whether the robot left its healthy range, and did not reach the time limit.
+        title: the policy or the recorded episode, in a few words.
         divergence: of a replay, the largest difference from a recorded observation; 0 when exact.
         mjcf: the text of the model, for a variant of the original archive.
     """

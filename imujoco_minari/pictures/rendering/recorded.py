@@ -35,9 +35,9 @@ class Recorded:
     Attributes:
         dataset_id: the dataset.
         number: of the episode in it.
-        variant: the robot that moved.
-        tier: whose policy moved it.
-        seed: what reset the environment; None where it is not known.
+        variant: the variant that moved.
+        tier: tier of the policy that moved it.
+        seed: seed of the reset; None if it is not known.
         observations: of shape (steps + 1, n).
         actions: of shape (steps, m).
         rewards: of shape (steps,).

@@ -33,10 +33,10 @@ def scene_model(
     """Return the model that is drawn for ``variant``.
 
     Args:
-        variant: which variant.
+        variant: the variant.
         mjcf: the text of its model, for a variant of the original archive.
-        width: of the largest picture, in pixels.
-        height: likewise.
+        width: width of the largest picture, in pixels.
+        height: height of the largest picture, in pixels.
         fine: smooth edges and sharp shadows, at twice the time.
 
     Raises:

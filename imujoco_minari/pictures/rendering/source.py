@@ -36,14 +36,11 @@ def of_variant(
         PolicyNotFoundError: if there is no such policy.
     """
     variants = [variant.base, variant] if beside_base and variant != variant.base else [variant]
-    motions = []
-    for each in variants:
-        moved_by = tier if policy is None else policy.stem
-        title = f"{moved_by} policy, seed {seed}"
-        motions.append(
-            perform(each, load_policy(each, tier=tier, path=policy), seed=seed, seconds=seconds, title=title)
-        )
-    return motions
+    title = f"{tier if policy is None else policy.stem} policy, seed {seed}"
+    return [
+        perform(each, load_policy(each, tier=tier, path=policy), seed=seed, seconds=seconds, title=title)
+        for each in variants
+    ]
 
 
 def of_dataset(
