@@ -1,10 +1,8 @@
-"""The application object, and how every command prints, shows progress and fails."""
+"""The application object, and how every command runs and fails."""
 
 from __future__ import annotations
 
 import inspect
-import json
-import math
 import os
 import re
 import signal
@@ -12,8 +10,7 @@ import sys
 import threading
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from traceback import walk_stack
@@ -21,17 +18,8 @@ from types import FrameType
 from typing import Annotated, Any, Protocol, TypeVar
 
 import typer
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
-from rich.text import Text
 
+from imujoco_minari.cli.printing import fail, out, print_json, progress, say
 from imujoco_minari.errors import ImujocoError, NotFoundError
 
 # Help is plain text: Markdown and Rich's markup take `<variant>` and `[DIR]` for tags and drop them.
@@ -155,98 +143,6 @@ def exit_code(missing: Sequence[bool]) -> int:
     return MISSING if all(missing) else FAILED
 
 
-def printable(text: object) -> str:
-    r"""Return text from outside so that a terminal shows it as it is, in one line.
-
-    Control characters, line breaks, characters that change the direction of text, and bytes that are
-    not UTF-8 become escapes such as ``\x1b``. Ids, paths, HDF5 names and messages may hold any of them.
-    """
-    text = str(text)
-    if text.isprintable():
-        return text
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
-
-
-class Printer:
-    """Print lines to a stream. A line may hold text from outside: it is made printable.
-
-    Rich sees finished text only, so no markup or emoji code in it has an effect.
-
-    Args:
-        stderr: print to standard error instead of standard output.
-    """
-
-    def __init__(self, *, stderr: bool = False) -> None:
-        self.console = Console(stderr=stderr, highlight=False, soft_wrap=True)
-
-    def print(self, *lines: str, style: str = "", start: str = "") -> None:
-        """Print each of the lines in ``style``; the first begins with ``start`` in bold red."""
-        text = Text("\n").join(Text(printable(line), style) for line in lines)
-        # On one terminal, the console that shows a bar must print, so that the lines go above the bar.
-        console = err.console if self.console.is_terminal and err.console.is_terminal else self.console
-        console.print(Text(start, "bold red") + text if start else text)
-
-
-out = Printer()
-err = Printer(stderr=True)
-
-
-def fail(message: str) -> None:
-    """Print an error in one line."""
-    err.print(message, start="error: ")
-
-
-def say(message: str) -> None:
-    """Print a line for people. It goes to standard error: standard output holds results only."""
-    err.print(message)
-
-
-def print_json(value: Any) -> None:
-    """Print a value as one strict JSON document: a number that is not finite becomes null."""
-    sys.stdout.write(json.dumps(_jsonable(value), indent=2, allow_nan=False) + "\n")
-
-
-def _jsonable(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {_jsonable(str(key)): _jsonable(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_jsonable(item) for item in value]
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    if value is None or isinstance(value, bool | int):
-        return value
-    if hasattr(value, "tolist"):
-        return _jsonable(value.tolist())
-    # JSON's escapes cannot hold a lone surrogate, which is how Python holds a byte that is not UTF-8.
-    return str(value).encode("utf-8", "backslashreplace").decode()
-
-
-def print_table(
-    columns: Sequence[str], rows: Sequence[Sequence[str]], *, numeric: Sequence[str] = ()
-) -> None:
-    """Print rows of text as a table, with the columns named in ``numeric`` aligned to the right.
-
-    Rich's own table takes 0.1 s for the catalogue, and cuts columns when it does not know the terminal.
-    """
-    table = [[printable(cell) for cell in row] for row in (columns, *rows)]
-    widths = [max(map(len, cells)) for cells in zip(*table, strict=True)]
-    align = [str.rjust if column in numeric else str.ljust for column in columns]
-    lines = [
-        "  ".join(place(cell, width) for place, cell, width in zip(align, row, widths, strict=True)).rstrip()
-        for row in table
-    ]
-    out.print(lines[0], style="bold")
-    if rows:
-        out.print(*lines[1:])
-
-
-def counted(count: int, noun: str) -> str:
-    """Return a count in words: ``1 base``, ``3 bases``, ``1 policy``, ``2 policies``."""
-    if count != 1:
-        noun = noun[:-1] + "ies" if noun.endswith("y") else noun + "s"
-    return f"{count} {noun}"
-
-
 class Outcome(Protocol):
     """What became of one item of a batch."""
 
@@ -309,23 +205,6 @@ def gather(
     missing += [] if stopped is None else [isinstance(stopped, NotFoundError)]
     if missing:
         raise typer.Exit(exit_code(missing))
-
-
-@contextmanager
-def progress(description: str, total: int, *, quiet: bool = False) -> Iterator[Callable[[], None]]:
-    """Show a bar with an estimate on the error stream, and yield the function that advances it by one."""
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )
-    console = err.console
-    with Progress(*columns, console=console, disable=quiet or not console.is_terminal) as bar:
-        task = bar.add_task(printable(description), total=total)
-        yield lambda: bar.advance(task)
 
 
 def advancing(

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from imujoco_minari.cli.app import app, out, print_json, print_table
+from imujoco_minari.cli.app import app
 from imujoco_minari.cli.options import AsJson, Category, Robot, VariantId, WithBase
+from imujoco_minari.cli.printing import out, print_json, print_table
 from imujoco_minari.cli.selection import Filters, counted_variants
 from imujoco_minari.errors import VariantError
 from imujoco_minari.policies import expert_record, expert_variants

@@ -8,20 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from imujoco_minari.cli.app import (
-    advancing,
-    app,
-    counted,
-    exit_code,
-    fail,
-    gather,
-    out,
-    print_json,
-    print_table,
-    printable,
-    progress,
-    say,
-)
+from imujoco_minari.cli.app import advancing, app, exit_code, gather
 from imujoco_minari.cli.estimates import cost, plan, publishing_line, size_text
 from imujoco_minari.cli.options import (
     AsJson,
@@ -40,6 +27,7 @@ from imujoco_minari.cli.options import (
     VariantIds,
     WithBase,
 )
+from imujoco_minari.cli.printing import counted, fail, out, print_json, print_table, printable, progress, say
 from imujoco_minari.cli.selection import Filters, select, select_datasets
 from imujoco_minari.errors import ImujocoError, NotFoundError, VariantError
 from imujoco_minari.storage import minari_root

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imujoco_minari.cli.app import counted
+from imujoco_minari.cli.printing import counted
 from imujoco_minari.errors import ImujocoError, NotFoundError
 from imujoco_minari.policies import expert_record
 from imujoco_minari.storage import minari_root

@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from imujoco_minari.cli.app import app, counted, out, print_json
+from imujoco_minari.cli.app import app
 from imujoco_minari.cli.options import AsJson, DatasetIds, Force, Output, Seed
+from imujoco_minari.cli.printing import counted, out, print_json
 
 
 @app.command("export")

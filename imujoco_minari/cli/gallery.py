@@ -8,9 +8,10 @@ from typing import Annotated
 
 import typer
 
-from imujoco_minari.cli.app import FAILED, app, fail, out, print_json, progress, say
+from imujoco_minari.cli.app import FAILED, app
 from imujoco_minari.cli.estimates import gallery_line, size_text
 from imujoco_minari.cli.options import AsJson, Category, Robot, VariantIds
+from imujoco_minari.cli.printing import fail, out, print_json, progress, say
 from imujoco_minari.cli.selection import Filters, select
 
 

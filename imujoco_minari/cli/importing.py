@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from imujoco_minari.cli.app import FAILED, advancing, app, counted, gather, out, print_json, print_table, say
+from imujoco_minari.cli.app import FAILED, advancing, app, gather
 from imujoco_minari.cli.datasets import describe_published
 from imujoco_minari.cli.options import AsJson, Category, Columns, Episodes, Force, Robot, Seed, VariantIds
+from imujoco_minari.cli.printing import counted, out, print_json, print_table, say
 from imujoco_minari.errors import DatasetNotFoundError, VariantError, suggestion
 from imujoco_minari.variants import Variant
 

@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from imujoco_minari.cli.app import app, counted, out, print_json, progress, say
+from imujoco_minari.cli.app import app
 from imujoco_minari.cli.options import AsJson, Category, DatasetIds, Episodes, Jobs, Output, Robot, Seed
+from imujoco_minari.cli.printing import counted, out, print_json, progress, say
 from imujoco_minari.cli.selection import counted_variants
 from imujoco_minari.errors import VariantError
 

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from imujoco_minari.cli.app import app, counted, out, print_json, progress, say
+from imujoco_minari.cli.app import app
 from imujoco_minari.cli.estimates import size_text
 from imujoco_minari.cli.options import AsJson, Force, Output, PolicyFile
+from imujoco_minari.cli.printing import counted, out, print_json, progress, say
 from imujoco_minari.errors import RenderingError, StorageError
 from imujoco_minari.variants import EXPERT, Variant
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from imujoco_minari.cli.app import counted
+from imujoco_minari.cli.printing import counted
 from imujoco_minari.errors import DatasetNotFoundError, VariantError
 from imujoco_minari.storage import minari_root
 from imujoco_minari.variants import BASE, EXPERT, Variant, catalogue

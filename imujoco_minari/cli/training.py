@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from imujoco_minari.cli.app import advancing, app, counted, gather, out, print_json, print_table, say
+from imujoco_minari.cli.app import advancing, app, gather
 from imujoco_minari.cli.datasets import describe_published
 from imujoco_minari.cli.estimates import training_line
 from imujoco_minari.cli.options import (
@@ -28,6 +28,7 @@ from imujoco_minari.cli.options import (
     VariantIds,
     WithBase,
 )
+from imujoco_minari.cli.printing import counted, out, print_json, print_table, say
 from imujoco_minari.cli.selection import Filters, select
 from imujoco_minari.policies import expert_record, expert_variants, policies_folder
 from imujoco_minari.policies.standing import COLUMNS, share_of_base, standings

@@ -9,7 +9,7 @@ import pytest
 
 import imujoco_minari.cli  # noqa: F401
 from imujoco_minari.cli import estimates
-from imujoco_minari.cli.app import counted, run
+from imujoco_minari.cli.app import run
 from imujoco_minari.cli.estimates import (
     Planned,
     cost,
@@ -19,6 +19,7 @@ from imujoco_minari.cli.estimates import (
     time_text,
     training_line,
 )
+from imujoco_minari.cli.printing import counted
 from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.variants import Variant, bases, catalogue

@@ -14,7 +14,8 @@ from random_actors import random_actor
 from safetensors.numpy import save_file
 
 import imujoco_minari.cli  # noqa: F401
-from imujoco_minari.cli.app import command, fail, print_json, run, say
+from imujoco_minari.cli.app import command, run
+from imujoco_minari.cli.printing import fail, print_json, say
 from imujoco_minari.errors import JobError
 from imujoco_minari.pictures.gallery import builder
 from imujoco_minari.publishing import publisher

@@ -7,15 +7,17 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import h5py
 import numpy as np
 import pytest
 from rich.console import Console
 
-from imujoco_minari.cli.app import err, fail, out, print_table, printable, progress, run
+from imujoco_minari.cli.app import run
+from imujoco_minari.cli.printing import err, fail, out, print_table, printable, progress
 from imujoco_minari.storage.file_format import main_file
 
 BASE_ID = "imujoco/hopper-base-random-v0"
@@ -126,21 +128,28 @@ def test_results_fit_an_ascii_terminal() -> None:
     assert imujoco(["publish", "--help"], PYTHONIOENCODING="ascii").returncode == 0
 
 
+@pytest.fixture
+def short_folder() -> Iterator[Path]:
+    """A folder whose path no message cuts, as it may cut that of ``tmp_path``."""
+    with TemporaryDirectory() as folder:
+        yield Path(folder)
+
+
 @pytest.mark.parametrize("folder", ["[bold]", "[/]", "\x1b[31m", ":warning:"])
 def test_folders_are_named_as_they_are(
     folder: str,
     small_datasets: list[str],
     root: Path,
-    tmp_path: Path,
+    short_folder: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    place = tmp_path / folder
+    place = short_folder / folder
     place.parent.mkdir(exist_ok=True)
     shutil.copytree(root, place)
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(place))
     monkeypatch.setenv("IMUJOCO_HOME", str(place / "home"))
-    shown = printable(tmp_path / folder)
+    shown = printable(short_folder / folder)
     for arguments, code in (
         (["publish", "hopper-base", "-t", "random", "-n", "8"], 0),
         (["list", "--robot", "hopper"], 0),
