@@ -30,6 +30,10 @@ class ModelError(ImujocoError, ValueError):
     """An MJCF model that cannot be built or compiled."""
 
 
+class DrawingError(ImujocoError, ValueError):
+    """Weights, ranges or a distribution from which no variant can be drawn."""
+
+
 class PolicyError(ImujocoError, ValueError):
     """A policy file that cannot be read, or that does not fit the robot."""
 

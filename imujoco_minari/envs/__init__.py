@@ -22,6 +22,10 @@ __all__ = ["collection_spec", "environment_spec", "make", "register", "register_
 
 def __getattr__(name: str) -> Any:
     # The environments import MuJoCo, which takes longer than the rest of the package.
+    if name == "CollectionEnv":
+        from imujoco_minari.envs import drawing
+
+        return getattr(drawing, name)
     if name.endswith("Env"):
         from imujoco_minari.envs import robots
 

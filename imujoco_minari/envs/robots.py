@@ -2,31 +2,27 @@
 
 Each class is Gymnasium's own v5 environment of the robot with the model of a variant. Observations,
 actions, rewards and termination are Gymnasium's; only the model and, for length variants, the healthy
-height range differ. :class:`CollectionEnv` is the environment of a combined dataset.
+height range differ.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from copy import copy
 from functools import lru_cache
-from typing import Any, cast
+from typing import Any
 
-import gymnasium as gym
 import mujoco
 import numpy as np
 from gymnasium.envs.mujoco.half_cheetah_v5 import HalfCheetahEnv
 from gymnasium.envs.mujoco.hopper_v5 import HopperEnv
 from gymnasium.envs.mujoco.mujoco_env import MujocoEnv
 from gymnasium.envs.mujoco.walker2d_v5 import Walker2dEnv
-from gymnasium.envs.registration import load_env_creator
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
 from imujoco_minari.envs.external_mjcf import check_mjcf
 from imujoco_minari.envs.mjcf import compile_mjcf, healthy_z_range, model_text
-from imujoco_minari.envs.registration import environment_spec
-from imujoco_minari.errors import VariantError, suggestion
+from imujoco_minari.errors import VariantError
 from imujoco_minari.variants import Variant, specification
 from imujoco_minari.variants.original import OriginalVariant
 
@@ -148,92 +144,3 @@ class Walker2dVariantEnv(ClippedVelocity, VariantEnv, Walker2dEnv):
     """``Walker2d-v5`` with the model of a variant (observation 17, action 6)."""
 
     robot_environment = "Walker2d-v5"
-
-
-class CollectionEnv(gym.Env[Any, Any], EzPickle):
-    """One robot in many variants, one variant for each episode.
-
-    ``reset(options={"variant": id})`` chooses the variant. The episode then equals one of the variant's own
-    environment with the same seed. Without the option, the seed draws the variant.
-
-    Args:
-        variants: ids of variants of one robot.
-        models: id -> MJCF text in place of ``variants``, for variants of the original archive.
-        **kwargs: passed to each variant's environment.
-
-    Raises:
-        VariantError: when the ids are not of variants of one robot.
-    """
-
-    metadata = {  # noqa: RUF012
-        "render_modes": ["human", "rgb_array", "depth_array", "rgbd_tuple"]
-    }
-
-    def __init__(
-        self, variants: Sequence[str] = (), models: Mapping[str, str] | None = None, **kwargs: Any
-    ) -> None:
-        EzPickle.__init__(self, variants, models, **kwargs)
-        self._models = dict(models or {})
-        kind = OriginalVariant if self._models else Variant
-        parsed = [kind.parse(variant) for variant in self._models or variants]
-        robots = sorted({variant.robot for variant in parsed})
-        if len(robots) != 1:
-            raise VariantError(
-                f"a collection holds variants of one robot, not of {', '.join(robots) or 'none'}"
-            )
-        self.variants = tuple(str(variant) for variant in parsed)
-        self.render_mode = kwargs.get("render_mode")
-        self._kwargs = kwargs
-        self._environments: dict[str, VariantEnv] = {}
-        self._current = self._environment(self.variants[0])
-        self.metadata = self._current.metadata
-        self.observation_space = self._current.observation_space
-        self.action_space = self._current.action_space
-
-    @property
-    def variant(self) -> Variant:
-        """The variant of the present episode."""
-        return self._current.variant
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode, of ``options["variant"]`` if given, else of one drawn by ``seed``.
-
-        Raises:
-            VariantError: when the collection has no such variant.
-        """
-        super().reset(seed=seed)
-        name = (options or {}).get("variant")
-        if name is None:
-            name = self.variants[int(self.np_random.integers(len(self.variants)))]
-        elif name not in self.variants:
-            raise VariantError(
-                f"variant {name!r} is not in this collection{suggestion(str(name)[:80], self.variants)}; "
-                f"it has {len(self.variants)}, from {self.variants[0]} to {self.variants[-1]}"
-            )
-        if seed is None:
-            seed = int(self.np_random.integers(np.iinfo(np.int64).max))
-        self._current = self._environment(name)
-        observation, info = self._current.reset(seed=seed)
-        return observation, info | {"variant": name}
-
-    def step(self, action: Array) -> tuple[Array, Any, bool, bool, dict[str, Any]]:
-        """Step the present variant's environment."""
-        return self._current.step(action)
-
-    def render(self) -> Any:
-        """Render the present variant's environment."""
-        return self._current.render()  # type: ignore[no-untyped-call]
-
-    def close(self) -> None:
-        """Close every variant's environment."""
-        for environment in self._environments.values():
-            environment.close()  # type: ignore[no-untyped-call]
-
-    def _environment(self, name: str) -> VariantEnv:
-        if name not in self._environments:
-            spec = environment_spec(name, self._models.get(name))
-            creator = load_env_creator(str(spec.entry_point))
-            self._environments[name] = cast(VariantEnv, creator(**spec.kwargs, **self._kwargs))
-        return self._environments[name]

@@ -4,9 +4,9 @@ Datasets that were published by earlier versions store these names as entry poin
 New datasets store names of ``imujoco_minari.envs``; ``current_spec`` in ``envs.registration`` translates.
 """
 
-from imujoco_minari.envs import robots
+from imujoco_minari.envs import drawing, robots
 
 OriginalHopperEnv = robots.HopperVariantEnv
 OriginalHalfCheetahEnv = robots.HalfCheetahVariantEnv
 OriginalWalker2dEnv = robots.Walker2dVariantEnv
-OriginalCollectionEnv = robots.CollectionEnv
+OriginalCollectionEnv = drawing.CollectionEnv

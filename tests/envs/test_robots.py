@@ -103,34 +103,3 @@ def test_a_variant_of_another_robot_is_refused() -> None:
 
     with pytest.raises(VariantError, match="not a variant of Hopper-v5"):
         HopperVariantEnv("walker2d-base")
-
-
-def test_a_collection_takes_the_variant_asked_for_and_equals_it() -> None:
-    env = gym.make("imujoco/hopper-all-v0")
-    for name in ("hopper-lengthinc_50_leggeom", "hopper-massdec_25_leggeom"):
-        own = imujoco_minari.make(name)
-        observation, info = env.reset(seed=9, options={"variant": name})
-        assert info["variant"] == name
-        assert np.array_equal(observation, own.reset(seed=9)[0])
-        action = np.array([0.5, -0.5, 0.1], dtype=np.float32)
-        assert np.array_equal(env.step(action)[0], own.step(action)[0])
-
-
-def test_a_collection_draws_variants_by_seed() -> None:
-    env = gym.make("imujoco/walker2d-mass-v0")
-    drawn = [env.reset(seed=seed)[1]["variant"] for seed in range(30)]
-    assert drawn == [env.reset(seed=seed)[1]["variant"] for seed in range(30)]
-    assert len(set(drawn)) > 10
-    first, _ = env.reset(seed=1)
-    again, _ = env.reset()
-    assert not np.array_equal(first, again)
-
-
-def test_a_collection_refuses_strangers() -> None:
-    env = gym.make("imujoco/hopper-mass-v0")
-    with pytest.raises(VariantError, match=r"not in this collection.*did you mean"):
-        env.reset(options={"variant": "hopper-massdec_25_leggem"})
-    from imujoco_minari.envs.robots import CollectionEnv
-
-    with pytest.raises(VariantError, match="of one robot, not of hopper, walker2d"):
-        CollectionEnv(["hopper-base", "walker2d-base"])

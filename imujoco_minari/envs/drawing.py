@@ -1,0 +1,214 @@
+"""Environments that draw a variant at each reset and report it at every step.
+
+:class:`DrawingEnv` is what they share. :class:`CollectionEnv` draws from a list of variants; it is also the
+environment of a combined dataset.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any, cast
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.envs.registration import load_env_creator
+from gymnasium.utils import EzPickle
+from numpy.typing import NDArray
+
+from imujoco_minari.envs.registration import environment_spec
+from imujoco_minari.envs.robots import VariantEnv
+from imujoco_minari.errors import DrawingError, VariantError, suggestion
+from imujoco_minari.variants import Variant
+from imujoco_minari.variants.context import changed_parameters, check_parameters, context
+from imujoco_minari.variants.original import OriginalVariant
+
+Array = NDArray[Any]
+
+
+class DrawingEnv(gym.Env[Any, Any]):
+    """A robot whose variant is drawn at each reset.
+
+    The info of ``reset`` and of every ``step`` has the id of the variant (``variant``) and its context
+    (``context``, float64, shape ``(len(parameters),)``): the change of each parameter relative to the base
+    value, percent / 100.
+
+    Attributes:
+        parameters: names of the entries of a context, in order.
+        observe_context: whether the context is appended to the observation.
+    """
+
+    metadata = {  # noqa: RUF012
+        "render_modes": ["human", "rgb_array", "depth_array", "rgbd_tuple"]
+    }
+
+    parameters: tuple[str, ...]
+    observe_context: bool
+
+    _current: VariantEnv
+    _name: str
+    _context: NDArray[np.float64]
+
+    @property
+    def variant(self) -> Variant:
+        """The variant of the present episode."""
+        return self._current.variant
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode, of ``options["variant"]`` if given, else of a variant that ``seed`` draws.
+
+        The episode equals an episode of the variant's own environment with the same seed.
+
+        Raises:
+            VariantError: if this environment has no such variant.
+        """
+        super().reset(seed=seed)
+        self._show(self._choose((options or {}).get("variant")))
+        if seed is None:
+            seed = int(self.np_random.integers(np.iinfo(np.int64).max))
+        observation, info = self._current.reset(seed=seed)
+        return self._observed(observation), info | self._report()
+
+    def step(self, action: Array) -> tuple[Array, Any, bool, bool, dict[str, Any]]:
+        """Step the present variant."""
+        observation, reward, terminated, truncated, info = self._current.step(action)
+        return self._observed(observation), reward, terminated, truncated, info | self._report()
+
+    def render(self) -> Any:
+        """Render the present variant."""
+        return self._current.render()  # type: ignore[no-untyped-call]
+
+    @abstractmethod
+    def _choose(self, name: str | None) -> VariantEnv:
+        """Return the environment of the named variant, or of a drawn one."""
+
+    def _begin_with(self, environment: VariantEnv, parameters: Sequence[str], observe_context: bool) -> None:
+        """Set the spaces and the parameters, and show a first variant's environment."""
+        self.parameters, self.observe_context = tuple(parameters), observe_context
+        self.metadata, self.render_mode = environment.metadata, environment.render_mode
+        self.action_space = environment.action_space
+        space = environment.observation_space
+        assert isinstance(space, gym.spaces.Box)
+        if observe_context:
+            # Nothing is left of a parameter at -1.
+            low = np.append(space.low, np.full(len(self.parameters), -1.0))
+            high = np.append(space.high, np.full(len(self.parameters), np.inf))
+            space = gym.spaces.Box(low, high, dtype=np.float64)
+        self.observation_space = space
+        self._show(environment)
+
+    def _show(self, environment: VariantEnv) -> None:
+        """Make an environment the present one."""
+        self._current = environment
+        self._name = str(environment.variant)
+        self._context = context(environment.variant, self.parameters)
+
+    def _report(self) -> dict[str, Any]:
+        # A copy, because users may keep and change what they get.
+        return {"variant": self._name, "context": self._context.copy()}
+
+    def _observed(self, observation: Array) -> Array:
+        if self.observe_context:
+            return np.concatenate((observation, self._context))
+        return observation
+
+
+class CollectionEnv(DrawingEnv, EzPickle):
+    """One robot in many variants, one variant for each episode.
+
+    ``reset(options={"variant": id})`` chooses the variant. Without the option, the seed draws it.
+
+    Args:
+        variants: ids of variants of one robot.
+        models: id -> MJCF text in place of ``variants``, for variants of the original archive.
+        weights: id -> weight of a variant in the draw, at least 0. Other variants have weight 1.
+        parameters: names of the parameters in the context; None for those that the variants change.
+        observe_context: append the context to the observation.
+        **kwargs: passed to each variant's environment.
+
+    Attributes:
+        variants: the ids.
+
+    Raises:
+        VariantError: if the ids are not of variants of one robot, or a weight or ``parameters`` do not fit
+            the variants.
+        DrawingError: if a weight is negative or infinite, or no weight is above 0.
+
+    Example:
+        >>> env = gym.make("imujoco/hopper-mass-v0", observe_context=True)
+        >>> env.observation_space.shape
+        (15,)
+    """
+
+    def __init__(
+        self,
+        variants: Sequence[str] = (),
+        models: Mapping[str, str] | None = None,
+        weights: Mapping[str, float] | None = None,
+        parameters: Sequence[str] | None = None,
+        observe_context: bool = False,
+        **kwargs: Any,
+    ) -> None:
+        EzPickle.__init__(self, variants, models, weights, parameters, observe_context, **kwargs)
+        self._models = dict(models or {})
+        kind = OriginalVariant if self._models else Variant
+        parsed = [kind.parse(variant) for variant in self._models or variants]
+        robots = sorted({variant.robot for variant in parsed})
+        if len(robots) != 1:
+            raise VariantError(
+                f"a collection holds variants of one robot, not of {', '.join(robots) or 'none'}"
+            )
+        self.variants = tuple(str(variant) for variant in parsed)
+        if parameters is None:
+            parameters = changed_parameters(parsed)
+        else:
+            parameters = check_parameters(robots[0], parameters)
+            for variant in parsed:
+                context(variant, parameters)
+        self._probabilities = None if weights is None else self._normalised(weights)
+        self._kwargs = kwargs
+        self._environments: dict[str, VariantEnv] = {}
+        self._begin_with(self._environment(self.variants[0]), parameters, observe_context)
+
+    def close(self) -> None:
+        """Close every variant's environment."""
+        for environment in self._environments.values():
+            environment.close()  # type: ignore[no-untyped-call]
+
+    def _choose(self, name: str | None) -> VariantEnv:
+        if name is None:
+            name = self._draw()
+        self._check(name)
+        return self._environment(name)
+
+    def _draw(self) -> str:
+        if self._probabilities is None:
+            return self.variants[int(self.np_random.integers(len(self.variants)))]
+        return self.variants[int(self.np_random.choice(len(self.variants), p=self._probabilities))]
+
+    def _check(self, name: str) -> None:
+        if name not in self.variants:
+            raise VariantError(
+                f"variant {name!r} is not in this collection{suggestion(str(name)[:80], self.variants)}; "
+                f"it has {len(self.variants)}, from {self.variants[0]} to {self.variants[-1]}"
+            )
+
+    def _normalised(self, weights: Mapping[str, float]) -> Array:
+        """Return the probability of each variant."""
+        for name, weight in weights.items():
+            self._check(name)
+            if not (isinstance(weight, int | float) and 0 <= weight < float("inf")):
+                raise DrawingError(f"the weight of {name} is {weight!r}; valid: a number, at least 0")
+        values = np.array([weights.get(name, 1.0) for name in self.variants], dtype=np.float64)
+        if not values.any():
+            raise DrawingError("every variant has weight 0; at least one weight must be above 0")
+        return np.asarray(values / values.sum())
+
+    def _environment(self, name: str) -> VariantEnv:
+        if name not in self._environments:
+            spec = environment_spec(name, self._models.get(name))
+            creator = load_env_creator(str(spec.entry_point))
+            self._environments[name] = cast(VariantEnv, creator(**spec.kwargs, **self._kwargs))
+        return self._environments[name]
