@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from imujoco_minari.exporting import export
     from imujoco_minari.loading import Sampler, arrays, few_shot
     from imujoco_minari.policies import load_policy
-    from imujoco_minari.policies.rollouts import evaluate
+    from imujoco_minari.policies.evaluation import evaluate
+    from imujoco_minari.policies.references import normalized_score
     from imujoco_minari.publishing.combiner import combine_datasets
     from imujoco_minari.publishing.publisher import publish
     from imujoco_minari.variants.splits import held_out
@@ -40,6 +41,7 @@ __all__ = [
     "held_out",
     "load_policy",
     "make",
+    "normalized_score",
     "publish",
     "register",
     "verify",
@@ -50,11 +52,12 @@ _LAZY = {
     "arrays": "loading",
     "canonical_mjcf": "envs.mjcf",
     "combine_datasets": "publishing.combiner",
-    "evaluate": "policies.rollouts",
+    "evaluate": "policies.evaluation",
     "export": "exporting",
     "few_shot": "loading",
     "held_out": "variants.splits",
     "load_policy": "policies",
+    "normalized_score": "policies.references",
     "publish": "publishing.publisher",
     "verify": "verification",
 }

@@ -18,6 +18,10 @@ class NotFoundError(ImujocoError):
     """The user asked for something that does not exist. The command line then exits with 2, not 1."""
 
 
+class ArgumentError(ImujocoError, ValueError):
+    """An argument of a function that has a wrong type or value."""
+
+
 class VariantError(NotFoundError, ValueError):
     """An id, robot, category, percent or body that does not name a variant."""
 

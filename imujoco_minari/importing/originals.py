@@ -21,7 +21,8 @@ from imujoco_minari.importing.physics import Physics
 from imujoco_minari.importing.safe_unpack import Array, read_npz
 from imujoco_minari.importing.transitions import Cut, Transitions, cut, episodes, fidelity
 from imujoco_minari.policies import Policy, RandomPolicy, read_actor
-from imujoco_minari.policies.rollouts import episode_seed, evaluate
+from imujoco_minari.policies.evaluation import evaluate
+from imujoco_minari.policies.rollouts import episode_seed
 from imujoco_minari.publishing.publisher import NewDataset, Published, publish_episodes
 from imujoco_minari.storage import file_format
 from imujoco_minari.storage.metadata import provenance

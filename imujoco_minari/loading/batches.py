@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from imujoco_minari.arguments import whole_number
 from imujoco_minari.errors import DatasetError
-from imujoco_minari.loading.arguments import whole_number
 from imujoco_minari.loading.episode_arrays import Arrays, TransitionBatch, check_arrays
 
 Array = NDArray[Any]
@@ -43,7 +43,7 @@ def transition_batches(data: Arrays, batch_size: int, *, seed: int = 0) -> Itera
     """Yield every step once, in an order drawn by ``seed``. The last batch may be smaller.
 
     Raises:
-        DatasetError: when an argument is not valid.
+        ArgumentError: when an argument is not valid.
 
     Example:
         >>> for batch in transition_batches(data, 256, seed=epoch):  # doctest: +SKIP
@@ -60,7 +60,7 @@ def transition_samples(data: Arrays, batch_size: int, *, seed: int = 0) -> Itera
     """Yield batches without end. Each step is drawn from all steps, as a replay buffer samples.
 
     Raises:
-        DatasetError: when an argument is not valid.
+        ArgumentError: when an argument is not valid.
     """
     check_arrays(data)
     size = batch_size * _batches_ahead(batch_size)
@@ -82,7 +82,8 @@ def window_batches(
         padded: also yield windows that the end of their episode cuts short, padded with zeros.
 
     Raises:
-        DatasetError: when no episode has ``length`` steps, or an argument is not valid.
+        DatasetError: when no episode has ``length`` steps.
+        ArgumentError: when an argument is not valid.
     """
     starts = window_starts(data, length, padded=padded)
     return (gather_windows(data, batch, length) for batch in _batches(starts, batch_size, seed))
@@ -92,7 +93,7 @@ def episode_batches(data: Arrays, batch_size: int, *, seed: int = 0) -> Iterator
     """Yield every episode once, in an order drawn by ``seed``, padded to the longest of its batch.
 
     Raises:
-        DatasetError: when an argument is not valid.
+        ArgumentError: when an argument is not valid.
     """
     check_arrays(data)
     return (
@@ -110,7 +111,8 @@ def window_starts(data: Arrays, length: int, *, padded: bool = False) -> Array:
         padded: return every row; otherwise only rows with ``length`` steps left in their episode.
 
     Raises:
-        DatasetError: when no episode has ``length`` steps, or an argument is not valid.
+        DatasetError: when no episode has ``length`` steps.
+        ArgumentError: when an argument is not valid.
     """
     check_arrays(data)
     whole_number(length, "length", least=1)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.lib.format import open_memmap
 from numpy.typing import NDArray
 
-from imujoco_minari.errors import DatasetError
+from imujoco_minari.errors import ArgumentError, DatasetError
 from imujoco_minari.loading import selection
 from imujoco_minari.loading.selection import Origin
 from imujoco_minari.loading.statistics import Statistics
@@ -212,6 +212,6 @@ class Arrays:
 
 
 def check_arrays(data: Any) -> None:
-    """Raise a DatasetError unless ``data`` is :class:`Arrays`."""
+    """Raise an ArgumentError unless ``data`` is :class:`Arrays`."""
     if not isinstance(data, Arrays):
-        raise DatasetError(f"expected the result of arrays(), not {type(data).__name__}")
+        raise ArgumentError(f"expected the result of arrays(), not {type(data).__name__}")

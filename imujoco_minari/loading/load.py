@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from imujoco_minari.errors import DatasetError, clipped
+from imujoco_minari.errors import ArgumentError, DatasetError, clipped
 from imujoco_minari.loading import selection
 from imujoco_minari.loading.episode_arrays import Arrays
 from imujoco_minari.loading.selection import Datasets, EpisodeReference, View
@@ -53,7 +53,8 @@ def arrays(
     Raises:
         DatasetNotFoundError: when a dataset is not in the Minari root.
         VariantError: when ``where`` has an unknown attribute, or a value that no episode has.
-        DatasetError: when the datasets are of several robots, or an argument or a dataset is not valid.
+        DatasetError: when the datasets are of several robots, or a dataset is not valid.
+        ArgumentError: when an argument is not valid.
 
     Example:
         >>> train = arrays("imujoco/hopper-base-v0", portion=(0.0, 0.75), dtype="float32")  # doctest: +SKIP
@@ -61,7 +62,7 @@ def arrays(
         (75000, 11)
     """
     if not isinstance(normalize, bool | Statistics):
-        raise DatasetError(f"normalize must be True, False or Statistics, not {clipped(repr(normalize))}")
+        raise ArgumentError(f"normalize must be True, False or Statistics, not {clipped(repr(normalize))}")
     dtype = None if dtype is None else _floating(dtype)
     with ExitStack() as stack:
         views = selection.views(datasets)
@@ -93,7 +94,7 @@ def _floating(dtype: DTypeLike) -> np.dtype[Any]:
     except TypeError:
         found = None
     if found is None or found.kind != "f":
-        raise DatasetError(
+        raise ArgumentError(
             f"dtype must be a floating-point type, as in 'float32', not {clipped(repr(dtype))}"
         )
     return found

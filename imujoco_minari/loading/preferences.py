@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from imujoco_minari.errors import DatasetError, clipped, suggestion
-from imujoco_minari.loading.arguments import whole_number
+from imujoco_minari.arguments import whole_number
+from imujoco_minari.errors import ArgumentError, DatasetError, clipped, suggestion
 from imujoco_minari.loading.batches import Windows, gather_windows, window_starts
 from imujoco_minari.loading.episode_arrays import Arrays
 from imujoco_minari.storage.targets import new_target
@@ -73,8 +73,8 @@ def preference_pairs(
         seed: of the draws.
 
     Raises:
-        DatasetError: when all segments of a variant have one score, ``tiers`` lacks a tier of the data, or
-            an argument is not valid.
+        DatasetError: when all segments of a variant have one score, or ``tiers`` lacks a tier of the data.
+        ArgumentError: when an argument is not valid.
 
     Example:
         >>> chosen = preference_pairs(data, pairs=500, length=25, seed=0)  # doctest: +SKIP
@@ -131,7 +131,7 @@ def _tier_scores(data: Arrays, tiers: Sequence[str]) -> Array:
         or not isinstance(tiers, Sequence)
         or not all(isinstance(t, str) for t in tiers)
     ):
-        raise DatasetError(
+        raise ArgumentError(
             f"tiers must be a list from best to worst, as ['expert', 'random'], not {clipped(repr(tiers))}"
         )
     places = {tier: place for place, tier in enumerate(tiers)}

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from imujoco_minari.arguments import whole_number
 from imujoco_minari.errors import DatasetError, VariantError, clipped, suggestion
 from imujoco_minari.loading import selection
-from imujoco_minari.loading.arguments import whole_number
 from imujoco_minari.loading.batches import padded_rows
 from imujoco_minari.loading.episode_arrays import Arrays, check_arrays
 from imujoco_minari.loading.load import arrays
@@ -148,7 +148,8 @@ def few_shot(data: Arrays, *, shots: int = 5, queries: int | None = None, seed: 
         seed: of the draw. The episodes drawn for a variant do not depend on the other variants in ``data``.
 
     Raises:
-        DatasetError: when a variant has too few episodes, or an argument is not valid.
+        DatasetError: when a variant has too few episodes.
+        ArgumentError: when an argument is not valid.
 
     Example:
         >>> support, query = few_shot(data, shots=5, seed=0)  # doctest: +SKIP

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from imujoco_minari.errors import DatasetError, VariantError, clipped, suggestion
-from imujoco_minari.loading.arguments import whole_number
+from imujoco_minari.arguments import whole_number
+from imujoco_minari.errors import ArgumentError, DatasetError, VariantError, clipped, suggestion
 from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.storage.missing import not_in_root
 from imujoco_minari.storage.reader import EpisodeFile
@@ -71,13 +71,14 @@ def views(datasets: Datasets) -> list[View]:
 
     Raises:
         DatasetNotFoundError: when a dataset is not in the Minari root.
-        DatasetError: when there is no dataset, or one is not stored as HDF5.
+        ArgumentError: when no dataset, or something else is given.
+        DatasetError: when one is not stored as HDF5.
     """
     if isinstance(datasets, str) or not isinstance(datasets, Iterable) or hasattr(datasets, "storage"):
         datasets = [datasets]
     found = [_view(dataset) for dataset in datasets]
     if not found:
-        raise DatasetError("no dataset was given")
+        raise ArgumentError("no dataset was given")
     return found
 
 
@@ -85,7 +86,7 @@ def _view(dataset: Any) -> View:
     if isinstance(dataset, str):
         return View(dataset, _main_file(dataset, minari_root.dataset_folder(dataset)))
     if not hasattr(dataset, "storage"):
-        raise DatasetError(f"a dataset is a Minari dataset or its id, not {type(dataset).__name__}")
+        raise ArgumentError(f"a dataset is a Minari dataset or its id, not {type(dataset).__name__}")
     if dataset.storage.FORMAT != "hdf5":
         raise DatasetError(f"{dataset.id} is stored as {dataset.storage.FORMAT}; valid: hdf5")
     file = _main_file(dataset.id, Path(dataset.storage.data_path).parent)
@@ -193,8 +194,8 @@ def portion_of(origins: Sequence[Origin], portion: tuple[float, float], seed: in
         seed: of the shuffle.
 
     Raises:
-        DatasetError: when ``portion`` is not an interval within [0, 1], no episode falls into it, or
-            the seed is not valid.
+        ArgumentError: when ``portion`` is not an interval within [0, 1], or the seed is not valid.
+        DatasetError: when no episode falls into the portion.
     """
     whole_number(seed, "seed", least=0)
     try:
@@ -203,7 +204,7 @@ def portion_of(origins: Sequence[Origin], portion: tuple[float, float], seed: in
     except (TypeError, ValueError):
         valid = False
     if not valid:
-        raise DatasetError(
+        raise ArgumentError(
             f"portion must be two increasing numbers from 0 to 1, as in (0.0, 0.75), "
             f"not {clipped(repr(portion))}"
         )

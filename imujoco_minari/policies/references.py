@@ -1,16 +1,20 @@
 """Reference scores: the returns of a random policy and of the expert on a variant.
 
-``minari.get_normalized_score`` maps the first to 0 and the second to 1.
+The normalised score maps the first to 0 and the second to 1.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
-from imujoco_minari.envs.registration import make
-from imujoco_minari.policies import RandomPolicy, expert_record
-from imujoco_minari.policies.rollouts import Evaluation, evaluate
+import numpy as np
+from numpy.typing import ArrayLike
+
+from imujoco_minari.errors import ArgumentError, PolicyNotFoundError, clipped
+from imujoco_minari.policies import Array, RandomPolicy, expert_record
+from imujoco_minari.policies.evaluation import Evaluation, evaluate
 from imujoco_minari.variants import Variant, specification
 
 EPISODES = 100
@@ -38,8 +42,55 @@ def reference_scores(variant: Variant) -> dict[str, Any]:
 @lru_cache(maxsize=256)
 def random_evaluation(variant: Variant) -> Evaluation:
     """Evaluate the random policy for 100 episodes of a variant."""
-    env = make(variant)
-    try:
-        return evaluate(env, RandomPolicy(specification(variant.robot).action_size), episodes=EPISODES)
-    finally:
-        env.close()
+    return evaluate(variant, RandomPolicy(specification(variant.robot).action_size), episodes=EPISODES)
+
+
+def normalized_score(variant: Variant | str | Sequence[Variant | str], returns: ArrayLike) -> Array:
+    """Return normalised scores: 0 for the return of a variant's random policy, 1 for that of its expert.
+
+    The references come from the records of the policies, so no dataset is needed.
+
+    Args:
+        variant: the variant or its id, or a sequence with one for each return, as a collection needs.
+        returns: undiscounted returns, of any shape; of shape (n,) for a sequence of n variants.
+
+    Returns:
+        The scores, float64, of the shape of ``returns``.
+
+    Raises:
+        VariantError: when an id is not of a variant.
+        PolicyNotFoundError: when a variant has no expert.
+        ArgumentError: when ``returns`` are not numbers, or not as many as the variants.
+
+    Example:
+        >>> normalized_score("hopper-base", [18.0, 3500.0])  # doctest: +SKIP
+        array([0.001, 0.977])
+    """
+    values = np.asarray(returns)
+    if values.dtype.kind not in "fiu":
+        raise ArgumentError(f"returns must be numbers, not {clipped(repr(returns))}")
+    if isinstance(variant, Variant | str):
+        low, high = _references(_parsed(variant))
+        return np.asarray((values - low) / (high - low))
+    if not isinstance(variant, Sequence) or values.shape != (len(variant),):
+        raise ArgumentError(
+            "give a variant, or a sequence with one variant for each return; "
+            f"the returns have the shape {values.shape}"
+        )
+    known = {each: _references(_parsed(each)) for each in dict.fromkeys(variant)}
+    lows, highs = np.array([known[each] for each in variant]).reshape(-1, 2).T
+    return np.asarray((values - lows) / (highs - lows))
+
+
+def _parsed(variant: Variant | str) -> Variant:
+    return variant if isinstance(variant, Variant) else Variant.parse(variant)
+
+
+def _references(variant: Variant) -> tuple[float, float]:
+    """Return the returns that score 0 and 1."""
+    if "evaluation" not in expert_record(variant):
+        raise PolicyNotFoundError(
+            f"{variant} has no expert, so no return scores 1: train one with `imujoco train {variant}`"
+        )
+    scores = reference_scores(variant)
+    return float(scores["ref_min_score"]), float(scores["ref_max_score"])

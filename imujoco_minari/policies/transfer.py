@@ -14,16 +14,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from imujoco_minari.envs.mjcf import canonical_mjcf, mjcf_sha256
-from imujoco_minari.envs.registration import make
 from imujoco_minari.errors import JobError, PolicyNotFoundError, TransferError
 from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies import Policy, expert_actor, expert_variants
-from imujoco_minari.policies.rollouts import Evaluation, evaluate
+from imujoco_minari.policies.evaluation import Evaluation, evaluate
 from imujoco_minari.storage.files import write_text
 from imujoco_minari.variants import BASE, Variant, catalogue
 
-FORMAT = 1
+FORMAT = 2
 COLUMNS = (
     "policy",
     "variant",
@@ -141,7 +142,7 @@ def evaluate_transfer(
     for cell in wanted:
         row = known.get(cell.policy_name, {}).get(str(cell.variant), {})
         if row.get("key") == cell.key():
-            cells[cell.policy_name, cell.variant] = Evaluation(**row["evaluation"])
+            cells[cell.policy_name, cell.variant] = _evaluation(cell, row)
             if on_cell is not None:
                 on_cell()
         else:
@@ -151,7 +152,11 @@ def evaluate_transfer(
         if isinstance(result, JobError):
             raise TransferError(f"{cell.policy_name} on {cell.variant}: {result}")
         cells[cell.policy_name, cell.variant] = result
-        row = {"key": cell.key(), "evaluation": result.asdict()}
+        row = {
+            "key": cell.key(),
+            "returns": result.returns.tolist(),
+            "lengths": result.lengths.tolist(),
+        }
         known.setdefault(cell.policy_name, {})[str(cell.variant)] = row
         write_text(state, json.dumps({"format": FORMAT, "cells": known}) + "\n")
         if on_cell is not None:
@@ -177,11 +182,18 @@ def write_csv(transfer: Transfer, path: Path) -> None:
 
 
 def _evaluate_cell(cell: _Cell) -> Evaluation:
-    env = make(cell.variant)
-    try:
-        return evaluate(env, cell.policy, episodes=cell.episodes, seed=cell.seed)
-    finally:
-        env.close()
+    return evaluate(cell.variant, cell.policy, episodes=cell.episodes, seed=cell.seed)
+
+
+def _evaluation(cell: _Cell, row: Mapping[str, Any]) -> Evaluation:
+    """Return the result of a cell from its row of the state file."""
+    return Evaluation(
+        np.array(row["returns"]),
+        np.array(row["lengths"]),
+        (str(cell.variant),) * cell.episodes,
+        cell.seed,
+        cell.policy.deterministic,
+    )
 
 
 def _check_fits_robot(policy: Any, robot: str) -> None:

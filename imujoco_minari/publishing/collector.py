@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from imujoco_minari.envs.registration import make
 from imujoco_minari.policies import LANES, Policy
+from imujoco_minari.policies.adapters import batch_act
 from imujoco_minari.policies.rollouts import episode_seed, roll_out_together
 from imujoco_minari.storage.quiet_file import safe_point
 from imujoco_minari.storage.writer import EpisodeStorage, new_storage
@@ -147,9 +148,10 @@ def collect(
     ordered = OrderedStorage(storage)
     collectors = [StorageCollector(env, ordered) for env in envs]
     try:
-        roll_out_together(
-            collectors, policy, seeds, lambda lane, episode: collectors[lane].begin(episode), on_episode
-        )
+        for _ in roll_out_together(
+            collectors, batch_act(policy), seeds, lambda lane, episode: collectors[lane].begin(episode)
+        ):
+            on_episode()
     finally:
         for collector in collectors:
             collector.close()

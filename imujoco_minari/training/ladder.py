@@ -6,9 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from imujoco_minari.envs.registration import make
 from imujoco_minari.policies import expert_record, find_policy_file, read_actor
-from imujoco_minari.policies.rollouts import evaluate
+from imujoco_minari.policies.evaluation import evaluate
 from imujoco_minari.policies.tiers import medium_rung, rung_file
 from imujoco_minari.training.agents import load_arrays, save_arrays
 from imujoco_minari.variants import Variant
@@ -58,17 +57,12 @@ def measure_ladder(
     Raises:
         FileNotFoundError: if the file of a rung is missing.
     """
-    env = make(variant, disable_env_checker=True)
-    try:
-        rungs = [
-            {"steps": rung, "evaluation": _evaluate_rung(env, variant, rung, EPISODES, policies)}
-            for rung in steps
-        ]
-        if rungs:
-            medium = medium_rung(rungs, expert)
-            medium["evaluation"] = _evaluate_rung(env, variant, medium["steps"], 100, policies)  # type: ignore[index]
-    finally:
-        env.close()
+    rungs = [
+        {"steps": rung, "evaluation": _evaluate_rung(variant, rung, EPISODES, policies)} for rung in steps
+    ]
+    if rungs:
+        medium = medium_rung(rungs, expert)
+        medium["evaluation"] = _evaluate_rung(variant, medium["steps"], 100, policies)  # type: ignore[index]
     return rungs
 
 
@@ -77,10 +71,8 @@ def rungs_of(base: Variant, policies: Path | None) -> list[int]:
     return [int(rung["steps"]) for rung in expert_record(base, policies).get("ladder", [])]
 
 
-def _evaluate_rung(
-    env: Any, variant: Variant, steps: int, episodes: int, policies: Path | None
-) -> dict[str, Any]:
+def _evaluate_rung(variant: Variant, steps: int, episodes: int, policies: Path | None) -> dict[str, Any]:
     path = find_policy_file(rung_file(variant, steps), policies)
     if path is None:
         raise FileNotFoundError(rung_file(variant, steps))
-    return evaluate(env, read_actor(path), episodes=episodes, seed=LADDER_SEED).asdict()
+    return evaluate(variant, read_actor(path), episodes=episodes, seed=LADDER_SEED).asdict()

@@ -20,8 +20,9 @@ import numpy as np
 
 from imujoco_minari.envs.registration import collection_spec, make
 from imujoco_minari.policies import Array
+from imujoco_minari.policies.evaluation import Evaluation, evaluate
 from imujoco_minari.policies.references import random_evaluation
-from imujoco_minari.policies.rollouts import Evaluation, episode_seed, evaluate
+from imujoco_minari.policies.rollouts import episode_seed
 from imujoco_minari.training.agents import (
     actor_arrays,
     actor_of,
@@ -257,7 +258,7 @@ class Run:
         """Return mean less deviation over the deciding episodes, or over fewer if those are not better."""
         score = float("-inf")
         for episodes in (self.task.settings.choosing_episodes, self.task.settings.deciding_episodes):
-            score = self._evaluate(arrays, episodes, CHOOSING_SEED).score
+            score = self._evaluate(arrays, episodes, CHOOSING_SEED).mean_less_std
             if score <= self.progress.best_score:
                 break
         return score

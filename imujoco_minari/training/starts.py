@@ -11,12 +11,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from gymnasium import Env
-
-from imujoco_minari.envs.registration import make
 from imujoco_minari.errors import PolicyNotFoundError
 from imujoco_minari.policies import Array, agent_file, expert_record
-from imujoco_minari.policies.rollouts import evaluate
+from imujoco_minari.policies.evaluation import evaluate
 from imujoco_minari.training.agents import actor_of, agent_actor, load_arrays
 from imujoco_minari.training.hyperparameters import WARM, hyperparameters
 from imujoco_minari.variants import Variant
@@ -77,18 +74,11 @@ def best_start(variant: Variant, policies: Path | None = None) -> Start:
     if path is not None:
         record = generalist_record(variant.robot, policies)
         starts.append(Start(generalist_name(variant.robot), str(record["weights_sha256"]), load_arrays(path)))
-    env = make(variant, disable_env_checker=True)
-    try:
-        return max(
-            (_evaluate_start(env, variant.robot, start) for start in starts), key=lambda start: start.score
-        )
-    finally:
-        env.close()
+    return max((_evaluate_start(variant, start) for start in starts), key=lambda start: start.score)
 
 
-def _evaluate_start(env: Env[Any, Any], robot: str, start: Start) -> Start:
-    settings = hyperparameters(robot, WARM)
+def _evaluate_start(variant: Variant, start: Start) -> Start:
+    settings = hyperparameters(variant.robot, WARM)
     actor = actor_of(agent_actor(start.agent), settings.algorithm)
-    return replace(
-        start, score=evaluate(env, actor, episodes=settings.ranking_episodes, seed=START_SEED).score
-    )
+    outcome = evaluate(variant, actor, episodes=settings.ranking_episodes, seed=START_SEED)
+    return replace(start, score=outcome.mean_less_std)

@@ -18,8 +18,10 @@ import pytest
 from synthetic_arrays import BASE, LEG, RANDOM, synthetic
 
 from imujoco_minari.errors import (
+    ArgumentError,
     DatasetError,
     DatasetExistsError,
+    DatasetIdError,
     DatasetNotFoundError,
     StorageError,
     VariantError,
@@ -327,11 +329,11 @@ def test_a_filter_that_keeps_nothing_says_what_there_is(
 def test_an_argument_that_is_not_valid_is_named(
     small_datasets: list[str], argument: dict[str, object], message: str
 ) -> None:
-    with pytest.raises(DatasetError, match=message) as error:
+    with pytest.raises(ArgumentError, match=message) as error:
         arrays(HOPPER, **argument)  # type: ignore[arg-type]
     assert "\n" not in str(error.value)
     if "portion" in argument or "seed" in argument:
-        with pytest.raises(DatasetError, match=message):
+        with pytest.raises(ArgumentError, match=message):
             Sampler(arrays(HOPPER), **argument)  # type: ignore[arg-type]
 
 
@@ -357,7 +359,7 @@ def test_statistics_of_another_robot_are_refused(small_datasets: list[str]) -> N
     ],
 )
 def test_what_is_not_a_dataset_is_refused(load: Callable[[Any], object], datasets: Any, message: str) -> None:
-    with pytest.raises(DatasetError, match=message):
+    with pytest.raises((ArgumentError, DatasetIdError), match=message):
         load(datasets)
 
 

@@ -13,7 +13,7 @@ import torch
 from synthetic_arrays import BASE, LEG, RANDOM, synthetic
 from torch.utils.data import DataLoader
 
-from imujoco_minari.errors import DatasetError, DatasetExistsError, VariantError
+from imujoco_minari.errors import ArgumentError, DatasetError, DatasetExistsError, VariantError
 from imujoco_minari.exporting.torch import TransitionDataset, WindowDataset, as_is
 from imujoco_minari.loading import (
     Arrays,
@@ -165,7 +165,7 @@ def test_a_number_that_is_not_valid_is_named(value: Any) -> None:
         ]
     for name, functions in calls.items():
         for function in functions:
-            with pytest.raises(DatasetError, match=f"^{name} must be a whole number of at least [01], not "):
+            with pytest.raises(ArgumentError, match=f"^{name} must be a whole number of at least [01], not "):
                 function()
 
 
@@ -182,7 +182,9 @@ def test_what_is_not_arrays_is_refused(data: Any) -> None:
         lambda: WindowDataset(data, 2),
     ]
     for function in calls:
-        with pytest.raises(DatasetError, match=f"expected the result of arrays.., not {type(data).__name__}"):
+        with pytest.raises(
+            ArgumentError, match=f"expected the result of arrays.., not {type(data).__name__}"
+        ):
             function()
 
 
@@ -376,5 +378,5 @@ def test_where_nothing_is_preferred_is_said() -> None:
     ):
         preference_pairs(data, length=2, tiers=["experts"])
     for tiers in ("expert", 3, [3]):
-        with pytest.raises(DatasetError, match="tiers must be a list from best to worst"):
+        with pytest.raises(ArgumentError, match="tiers must be a list from best to worst"):
             preference_pairs(data, length=2, tiers=tiers)  # type: ignore[arg-type]

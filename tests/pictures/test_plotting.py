@@ -28,7 +28,7 @@ from imujoco_minari.pictures.plotting.datasets import (
 from imujoco_minari.pictures.plotting.quantities import action_quantities, observation_quantities
 from imujoco_minari.pictures.plotting.style import COLOURS, line_style, save
 from imujoco_minari.pictures.plotting.transfer import draw_transfer, plot_transfer
-from imujoco_minari.policies.rollouts import Evaluation
+from imujoco_minari.policies.evaluation import Evaluation
 from imujoco_minari.policies.transfer import Transfer, columns
 from imujoco_minari.variants import ROBOTS, Variant, specification
 
@@ -178,7 +178,7 @@ def test_each_figure_is_a_png_and_an_svg_and_the_same_when_drawn_again(
 
 def made_up(policies: tuple[str, ...], variants: tuple[Variant, ...]) -> Transfer:
     cells = {
-        (policy, variant): Evaluation(1, 0, True, 100.0 * row + column, 0.0, 0.0, 0.0, 10.0)
+        (policy, variant): Evaluation(np.array([100.0 * row + column]), np.array([10]), (str(variant),))
         for row, policy in enumerate(policies)
         for column, variant in enumerate(variants)
     }

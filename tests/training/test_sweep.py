@@ -18,7 +18,7 @@ from imujoco_minari.cli.training import describe_trained
 from imujoco_minari.envs.registration import make
 from imujoco_minari.errors import CatalogueError, PolicyError, PolicyNotFoundError, TrainingError
 from imujoco_minari.policies import expert_actor, expert_record, expert_variants, policies_folder
-from imujoco_minari.policies.rollouts import Evaluation, evaluate
+from imujoco_minari.policies.evaluation import Evaluation, evaluate
 from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.publishing.training_data import record_training
 from imujoco_minari.training import sweep
@@ -100,7 +100,7 @@ def test_a_variant_is_trained_from_its_base_and_published(tmp_path: Path, unship
     # The record's evaluation is that of the very weights that lie beside it.
     actor = expert_actor(LIGHT_LEG)
     assert actor.sha256 == record["weights_sha256"]
-    measured = evaluate(make(LIGHT_LEG), actor, episodes=3, seed=CONFIRMING_SEED)
+    measured = evaluate(LIGHT_LEG, actor, episodes=3, seed=CONFIRMING_SEED)
     assert measured.asdict() == record["evaluation"]
     assert [rung["steps"] for rung in record["ladder"]] == [
         rung["steps"] for rung in expert_record(BASE)["ladder"]
@@ -290,7 +290,7 @@ def test_an_actor_that_seems_the_best_is_looked_at_longer(
         looks.append(episodes)
         # Better and better in two episodes, and never in three: it falls in the third.
         score = {1: 50.0, 2: 50.0 + len(looks), 3: 40.0}[episodes]
-        return Evaluation(episodes, seed, True, score, 0.0, score, score, 1.0)
+        return Evaluation(np.full(episodes, score), np.ones(episodes), ("",) * episodes, seed, True)
 
     monkeypatch.setattr(Run, "_evaluate", evaluate)
     # Two intervals only explore.

@@ -11,10 +11,9 @@ import h5py
 import numpy as np
 
 from imujoco_minari.envs.differences import Difference, differences
-from imujoco_minari.envs.registration import make
 from imujoco_minari.errors import VariantError
 from imujoco_minari.policies import RandomPolicy, expert_record
-from imujoco_minari.policies.rollouts import evaluate
+from imujoco_minari.policies.evaluation import evaluate
 from imujoco_minari.policies.tiers import RANDOM
 from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.variants import BASE, EXPERT, NAMESPACE, Variant, parse_dataset_id, specification
@@ -108,11 +107,8 @@ def scores(variant: Variant, random: Score | None = None) -> tuple[Score, ...]:
 
 def measured_random(variant: Variant) -> Score:
     """Roll the random policy out and return its score."""
-    env, policy = make(variant), RandomPolicy(specification(variant.robot).action_size)
-    try:
-        outcome = evaluate(env, policy, episodes=RANDOM_EPISODES)
-    finally:
-        env.close()
+    policy = RandomPolicy(specification(variant.robot).action_size)
+    outcome = evaluate(variant, policy, episodes=RANDOM_EPISODES)
     return _score_from_evaluation(RANDOM, "uniform actions", outcome.asdict(), "measured for this page")
 
 
