@@ -9,7 +9,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from imujoco_minari.envs.registration import make, register, register_catalogue
+from imujoco_minari.envs.registration import load_catalogue, make, register, register_catalogue
 from imujoco_minari.errors import ImujocoError
 from imujoco_minari.variants import Variant, bases, catalogue
 
@@ -39,6 +39,7 @@ __all__ = [
     "export",
     "few_shot",
     "held_out",
+    "load_catalogue",
     "load_policy",
     "make",
     "normalized_score",

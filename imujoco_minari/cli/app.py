@@ -225,8 +225,26 @@ def _version(show: bool) -> None:
         raise typer.Exit
 
 
+def _load_catalogue(folders: list[Path] | None) -> None:
+    if folders:
+        from imujoco_minari import load_catalogue
+
+        for folder in folders:
+            load_catalogue(folder)
+
+
 @app.callback()
 def _options(
+    catalogue: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--catalogue",
+            metavar="DIR",
+            callback=_load_catalogue,
+            is_eager=True,
+            help="A folder with pages of your own robots, or one page; may be repeated.",
+        ),
+    ] = None,
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,

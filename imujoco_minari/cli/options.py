@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from imujoco_minari.variants import CATEGORIES, ROBOTS
+from imujoco_minari.variants import CATEGORIES, known_robots
 
 # What to work on.
 VariantId = Annotated[str, typer.Argument(metavar="VARIANT", help="A variant id.")]
@@ -24,7 +24,9 @@ def _either(words: Sequence[str]) -> str:
 
 Robot = Annotated[
     str | None,
-    typer.Option("--robot", "-r", metavar="ROBOT", help=f"The variants of one robot: {_either(ROBOTS)}."),
+    typer.Option(
+        "--robot", "-r", metavar="ROBOT", help=f"The variants of one robot: {_either(known_robots())}."
+    ),
 ]
 Category = Annotated[
     str | None,

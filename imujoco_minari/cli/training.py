@@ -210,7 +210,7 @@ def policies(
     chosen = filters.variants()
     if summary:
         bases = [BASE] if with_base or not filters else []
-        robots = [each for each in ROBOTS if robot in (None, each)]
+        robots = ROBOTS if robot is None else (robot,)
         lines = standings(robots, bases + [each for each in CATEGORIES if category in (None, each)])
         if as_json:
             print_json([vars(line) for line in lines])

@@ -12,12 +12,13 @@ from typing import Any
 from imujoco_minari.envs.registration import (
     collection_spec,
     environment_spec,
+    load_catalogue,
     make,
     register,
     register_catalogue,
 )
 
-__all__ = ["collection_spec", "environment_spec", "make", "register", "register_catalogue"]
+__all__ = ["collection_spec", "environment_spec", "load_catalogue", "make", "register", "register_catalogue"]
 
 
 def __getattr__(name: str) -> Any:
@@ -29,5 +30,8 @@ def __getattr__(name: str) -> Any:
     if name.endswith("Env"):
         from imujoco_minari.envs import robots
 
-        return getattr(robots, name)
+        if name in vars(robots):
+            return getattr(robots, name)
+        if name.endswith("VariantEnv"):
+            return robots.variant_class(name.removesuffix("VariantEnv"))
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -39,7 +41,8 @@ def differences(variant: Variant) -> list[Difference]:
 def model_differences(before: mujoco.MjModel, after: mujoco.MjModel) -> list[Difference]:
     """Return the quantities in which two compiled models of one robot differ.
 
-    Geoms and joints are matched by name. Contact friction is the friction between a geom and the floor.
+    Bodies, geoms and joints are matched by name, or by number where they have none.
+    Contact friction is the friction between a geom and the floor.
     """
     pairs: list[Difference] = []
 
@@ -47,27 +50,38 @@ def model_differences(before: mujoco.MjModel, after: mujoco.MjModel) -> list[Dif
         if not np.isclose(first, second, rtol=1e-9, atol=1e-12):
             pairs.append(Difference(quantity, float(first), float(second), unit))
 
-    for i in range(1, before.nbody):
-        name = before.body(i).name
-        compare(f"mass of {name}", before.body(name).mass[0], after.body(name).mass[0], "kg")
-    for i in range(before.ngeom):
-        name = before.geom(i).name
-        if before.geom_type[i] == mujoco.mjtGeom.mjGEOM_CAPSULE:
-            compare(f"length of {name}", 2 * before.geom(name).size[1], 2 * after.geom(name).size[1], "m")
-            compare(f"radius of {name}", before.geom(name).size[0], after.geom(name).size[0], "m")
-            compare(f"friction of {name} on floor", _friction(before, name), _friction(after, name), "1")
-    for i in range(before.njnt):
-        name = before.joint(i).name
+    for body in map(before.body, range(1, before.nbody)):
+        compare(f"mass of {_name(before, body)}", body.mass[0], _same(after.body, body).mass[0], "kg")
+    for geom in map(before.geom, range(before.ngeom)):
+        name, twin = geom.name or _name(before, before.body(geom.bodyid[0])), _same(after.geom, geom)
+        if geom.type[0] == mujoco.mjtGeom.mjGEOM_CAPSULE:
+            compare(f"length of {name}", 2 * geom.size[1], 2 * twin.size[1], "m")
+        if geom.type[0] != mujoco.mjtGeom.mjGEOM_PLANE:
+            compare(f"radius of {name}", geom.size[0], twin.size[0], "m")
+            first, second = _friction(before, geom.id), _friction(after, twin.id)
+            compare(f"friction of {name} on floor", first, second, "1")
+    for joint in map(before.joint, range(before.njnt)):
         for side, end in (("lower", 0), ("upper", 1)):
-            first, second = (np.degrees(model.joint(name).range[end]) for model in (before, after))
-            compare(f"{side} limit of {name}", first, second, "deg")
+            first, second = (np.degrees(each.range[end]) for each in (joint, _same(after.joint, joint)))
+            compare(f"{side} limit of {joint.name}", first, second, "deg")
     compare("height of the root", before.body_pos[1][2], after.body_pos[1][2], "m")
     return pairs
 
 
-def _friction(model: mujoco.MjModel, name: str) -> float:
+def _same(access: Callable[[str | int], Any], element: Any) -> Any:
+    """Return the element of another model that corresponds to ``element``."""
+    return access(element.name or int(element.id))
+
+
+def _name(model: mujoco.MjModel, body: Any) -> str:
+    """Return a body's name, or that of its first named geom, or its number."""
+    geoms = [model.geom(i).name for i in range(model.ngeom) if model.geom_bodyid[i] == body.id]
+    return next(filter(None, (body.name, *geoms)), f"body {body.id}")
+
+
+def _friction(model: mujoco.MjModel, geom_id: int) -> float:
     """Return the sliding friction of the contact between a geom and the floor, by MuJoCo's rules."""
-    geom, floor = model.geom(name), model.geom("floor")
+    geom, floor = model.geom(geom_id), model.geom("floor")
     for i in range(model.npair):
         if {int(model.pair_geom1[i]), int(model.pair_geom2[i])} == {geom.id, floor.id}:
             return float(model.pair_friction[i][0])

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from imujoco_minari.envs.registration import environment_spec
 from imujoco_minari.envs.robots import VariantEnv
 from imujoco_minari.errors import DrawingError, VariantError, suggestion
-from imujoco_minari.variants import Variant
+from imujoco_minari.variants import Variant, adopt_page
 from imujoco_minari.variants.context import changed_parameters, check_parameters, context
 from imujoco_minari.variants.original import OriginalVariant
 
@@ -126,6 +126,7 @@ class CollectionEnv(DrawingEnv, EzPickle):
         weights: id -> weight of a variant in the draw, at least 0. Other variants have weight 1.
         parameters: names of the parameters in the context; None for those that the variants change.
         observe_context: append the context to the observation.
+        page: the texts of the robot's page, for a robot of the user.
         **kwargs: passed to each variant's environment.
 
     Attributes:
@@ -149,9 +150,12 @@ class CollectionEnv(DrawingEnv, EzPickle):
         weights: Mapping[str, float] | None = None,
         parameters: Sequence[str] | None = None,
         observe_context: bool = False,
+        page: Mapping[str, str] | None = None,
         **kwargs: Any,
     ) -> None:
-        EzPickle.__init__(self, variants, models, weights, parameters, observe_context, **kwargs)
+        EzPickle.__init__(self, variants, models, weights, parameters, observe_context, page, **kwargs)
+        if page is not None and variants:
+            adopt_page(variants[0].partition("-")[0], page)
         self._models = dict(models or {})
         kind = OriginalVariant if self._models else Variant
         parsed = [kind.parse(variant) for variant in self._models or variants]

@@ -8,13 +8,24 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 from gymnasium.envs.registration import EnvSpec, registry
 
-from imujoco_minari.errors import VariantError
-from imujoco_minari.variants import CATEGORIES, NAMESPACE, ROBOTS, Variant, bases, catalogue, specification
+from imujoco_minari.errors import ImujocoError, VariantError
+from imujoco_minari.variants import (
+    BASE,
+    NAMESPACE,
+    Variant,
+    carried_page,
+    catalogue,
+    forget_page,
+    known_robots,
+    load_pages,
+    specification,
+)
 from imujoco_minari.variants.original import ORIGINAL, OriginalVariant
 
 MAX_EPISODE_STEPS = 1000
@@ -47,7 +58,7 @@ def environment_spec(variant: Variant | str, mjcf: str | None = None) -> EnvSpec
         id=variant.environment_id,
         entry_point=_entry_point(variant.robot),
         max_episode_steps=MAX_EPISODE_STEPS,
-        kwargs={"variant": str(variant)} | ({} if mjcf is None else {"mjcf": mjcf}),
+        kwargs={"variant": str(variant)} | ({} if mjcf is None else {"mjcf": mjcf}) | _page(variant.robot),
     )
 
 
@@ -62,11 +73,14 @@ def collection_spec(
         models: id -> MJCF text for each of them, where they are of the original archive.
     """
     ids = [str(variant) for variant in variants]
+    page = _page(ids[0].partition("-")[0]) if ids and not models else {}
     return EnvSpec(
         id=f"{ORIGINAL if models else NAMESPACE}/{name}-v0",
         entry_point=_COLLECTION,
         max_episode_steps=MAX_EPISODE_STEPS,
-        kwargs={"models": {variant: models[variant] for variant in ids}} if models else {"variants": ids},
+        kwargs={"models": {variant: models[variant] for variant in ids}}
+        if models
+        else {"variants": ids} | page,
     )
 
 
@@ -113,7 +127,7 @@ def current_spec(stored: Mapping[str, Any]) -> dict[str, Any]:
 
 def is_entry_point(entry_point: Any) -> bool:
     """Return whether a value is today's entry point of one of this package's environments."""
-    return entry_point in (_COLLECTION, *map(_entry_point, ROBOTS))
+    return entry_point in (_COLLECTION, *map(_entry_point, known_robots()))
 
 
 def make(variant: Variant | str, mjcf: str | None = None, **kwargs: Any) -> gym.Env[Any, Any]:
@@ -147,16 +161,64 @@ def register(variant: Variant | str) -> str:
 
 
 def register_catalogue() -> None:
-    """Register the catalogue's variants, the bases, and each robot's collections."""
+    """Register the variants of the known robots' pages, the bases, and each robot's collections."""
+    for robot in known_robots():
+        _register_robot(robot)
+
+
+def load_catalogue(path: str | Path) -> tuple[str, ...]:
+    """Make robots of the user known: register the variants of their pages, as those of the package are.
+
+    A page is a file ``<robot>.toml``, and its MJCF file lies beside it. A dataset of such a robot stores
+    both, so its environment can be recovered on machines that have neither.
+
+    Args:
+        path: a folder with pages, or a page.
+
+    Returns:
+        The names of the robots.
+
+    Raises:
+        CatalogueError: when there is no page, a page or its model cannot be read, a page is wrong, or
+            another page of the robot is loaded.
+        ModelError: when a model is refused or does not compile.
+
+    Example:
+        >>> load_catalogue("my-robots")  # doctest: +SKIP
+        ('tallhopper',)
+    """
+    from imujoco_minari.envs.mjcf import check_robot
+
+    before = known_robots()
+    try:
+        names = load_pages(path)
+        for robot in names:
+            check_robot(robot)
+            make(f"{robot}-{BASE}").close()
+    except ImujocoError:
+        for robot in set(known_robots()) - set(before):
+            forget_page(robot)
+        raise
+    for robot in names:
+        _register_robot(robot)
+    return names
+
+
+def _register_robot(robot: str) -> None:
     # Straight into the registry: gym.register() compares versions over the whole registry at each
     # call, and 172 calls would take a third of a second of every import.
-    for variant in (*catalogue(), *bases()):
+    for variant in (*catalogue(robot), Variant(robot, BASE, 0, "")):
         spec = environment_spec(variant)
         registry.setdefault(spec.id, spec)
-    for robot in ROBOTS:
-        for category in (None, *CATEGORIES):
-            spec = collection_spec(f"{robot}-{category or 'all'}", catalogue(robot, category))
-            registry.setdefault(spec.id, spec)
+    for category in (None, *specification(robot).categories):
+        spec = collection_spec(f"{robot}-{category or 'all'}", catalogue(robot, category))
+        registry.setdefault(spec.id, spec)
+
+
+def _page(robot: str) -> dict[str, Any]:
+    """Return the argument ``page`` of environments; empty for a robot that the package ships."""
+    page = carried_page(robot)
+    return {} if page is None else {"page": dict(page)}
 
 
 def _entry_point(robot: str) -> str:

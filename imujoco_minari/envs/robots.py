@@ -7,23 +7,26 @@ height range differ.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import copy
-from functools import lru_cache
-from typing import Any
+from functools import cache, lru_cache
+from typing import Any, cast
 
+import gymnasium as gym
 import mujoco
 import numpy as np
 from gymnasium.envs.mujoco.half_cheetah_v5 import HalfCheetahEnv
 from gymnasium.envs.mujoco.hopper_v5 import HopperEnv
 from gymnasium.envs.mujoco.mujoco_env import MujocoEnv
 from gymnasium.envs.mujoco.walker2d_v5 import Walker2dEnv
+from gymnasium.envs.registration import load_env_creator
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from imujoco_minari.envs.external_mjcf import check_mjcf
 from imujoco_minari.envs.mjcf import compile_mjcf, healthy_z_range, model_text
-from imujoco_minari.errors import VariantError
-from imujoco_minari.variants import Variant, specification
+from imujoco_minari.envs.untrusted_mjcf import check_mjcf
+from imujoco_minari.errors import CatalogueError, VariantError
+from imujoco_minari.variants import Variant, adopt_page, specification
 from imujoco_minari.variants.original import OriginalVariant
 
 Array = NDArray[Any]
@@ -44,6 +47,7 @@ class VariantEnv(MujocoEnv, EzPickle):
     Args:
         variant: a variant id, as in ``hopper-massdec_25_leggeom``.
         mjcf: the text of the model, for a variant of the original archive. It may come from anywhere.
+        page: the texts of the robot's page, for a robot of the user. They may come from anywhere.
         **kwargs: what Gymnasium's environment of the robot takes, ``render_mode`` among them.
 
     Attributes:
@@ -53,9 +57,14 @@ class VariantEnv(MujocoEnv, EzPickle):
     Raises:
         VariantError: when ``variant`` is not the id of a variant of the class's robot.
         ModelError: when the text is refused.
+        CatalogueError: when the page is wrong, or does not agree with the robot's environment.
     """
 
-    def __init__(self, variant: str, mjcf: str | None = None, **kwargs: Any) -> None:
+    def __init__(
+        self, variant: str, mjcf: str | None = None, page: Mapping[str, str] | None = None, **kwargs: Any
+    ) -> None:
+        if page is not None:
+            adopt_page(variant.partition("-")[0], page)
         self.variant = (Variant if mjcf is None else OriginalVariant).parse(variant)
         if specification(self.variant.robot).environment != self.robot_environment:
             raise VariantError(f"{variant!r} is not a variant of {self.robot_environment}")
@@ -66,11 +75,27 @@ class VariantEnv(MujocoEnv, EzPickle):
         defaults = {} if z_range is None else {"healthy_z_range": z_range}
         super().__init__(**(defaults | kwargs))
         # The parent recorded its own arguments for pickling; these make this environment again.
-        EzPickle.__init__(self, variant, mjcf, **kwargs)
+        EzPickle.__init__(self, variant, mjcf, page, **kwargs)
+        if page is not None and not kwargs:
+            self._check_page()
 
     robot_environment: str
-    _ctrl_cost_weight: float
-    _exclude_current_positions_from_observation: bool
+
+    def _check_page(self) -> None:
+        """Check what the user's page states about the environment's sizes and times."""
+        page = specification(self.variant.robot)
+        found = {
+            "observation_size": float(np.prod(self.observation_space.shape or ())),
+            "action_size": float(self.model.nu),
+            "action_bound": float(np.abs(self.model.actuator_ctrlrange).max()),
+            "steps_per_second": 1 / float(self.dt),
+        }
+        for key, value in found.items():
+            if not np.isclose(getattr(page, key), value):
+                raise CatalogueError(
+                    f"the page of {self.variant.robot} states {key} = {getattr(page, key):g}, "
+                    f"but its environment has {value:g}"
+                )
 
     def _initialize_simulation(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
         model = copy(_compiled(self.mjcf))
@@ -78,8 +103,16 @@ class VariantEnv(MujocoEnv, EzPickle):
         model.vis.global_.offheight = max(model.vis.global_.offheight, self.height)
         return model, mujoco.MjData(model)
 
-    # Gymnasium's step() spends 10 us (HalfCheetah) to 30 us (Hopper) outside MuJoCo, a third of the
-    # whole. It calls the methods below most often. These return the same to the bit, in a third of the time.
+
+class QuickVariantEnv(VariantEnv):
+    """The base class of planar robots, whose observations are their positions and velocities alone.
+
+    Gymnasium's step() spends 10 us (HalfCheetah) to 30 us (Hopper) outside MuJoCo, a third of the whole. It
+    calls the methods below most often. These return the same to the bit, in a third of the time.
+    """
+
+    _ctrl_cost_weight: float
+    _exclude_current_positions_from_observation: bool
 
     def do_simulation(self, ctrl: Array, n_frames: int) -> None:
         """Apply an action for ``n_frames`` steps of the simulation.
@@ -116,7 +149,7 @@ class ClippedVelocity:
         return np.minimum(np.maximum(self.data.qvel, _LOWEST_VELOCITY), _HIGHEST_VELOCITY)
 
 
-class HopperVariantEnv(ClippedVelocity, VariantEnv, HopperEnv):
+class HopperVariantEnv(ClippedVelocity, QuickVariantEnv, HopperEnv):
     """``Hopper-v5`` with the model of a variant (observation 11, action 3)."""
 
     robot_environment = "Hopper-v5"
@@ -134,13 +167,42 @@ class HopperVariantEnv(ClippedVelocity, VariantEnv, HopperEnv):
         )
 
 
-class HalfCheetahVariantEnv(VariantEnv, HalfCheetahEnv):
+class HalfCheetahVariantEnv(QuickVariantEnv, HalfCheetahEnv):
     """``HalfCheetah-v5`` with the model of a variant (observation 17, action 6)."""
 
     robot_environment = "HalfCheetah-v5"
 
 
-class Walker2dVariantEnv(ClippedVelocity, VariantEnv, Walker2dEnv):
+class Walker2dVariantEnv(ClippedVelocity, QuickVariantEnv, Walker2dEnv):
     """``Walker2d-v5`` with the model of a variant (observation 17, action 6)."""
 
     robot_environment = "Walker2d-v5"
+
+
+@cache
+def variant_class(title: str) -> type[VariantEnv]:
+    """Return the class of the variants of a Gymnasium environment.
+
+    It is one of the quicker classes of this module, or else Gymnasium's class with the model of a variant.
+
+    Args:
+        title: Gymnasium's name of the robot, as in ``Ant``.
+
+    Raises:
+        CatalogueError: when Gymnasium has no such MuJoCo environment of version 5.
+    """
+    own = globals().get(f"{title}VariantEnv")
+    if own is not None:
+        return cast(type[VariantEnv], own)
+    environment = f"{title}-v5"
+    spec = gym.registry.get(environment)
+    if spec is None or not str(spec.entry_point).startswith("gymnasium.envs.mujoco"):
+        raise CatalogueError(f"{environment} is not one of Gymnasium's MuJoCo environments")
+    stock = cast(type[MujocoEnv], load_env_creator(str(spec.entry_point)))
+    # Pickles and specs find the class under this name: see envs.__getattr__.
+    attributes = {
+        "robot_environment": environment,
+        "__module__": "imujoco_minari.envs",
+        "__doc__": f"``{environment}`` with the model of a variant.",
+    }
+    return type(f"{title}VariantEnv", (VariantEnv, stock), attributes)

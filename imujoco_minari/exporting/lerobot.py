@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from imujoco_minari.errors import missing_dependency
 from imujoco_minari.loading import Arrays
-from imujoco_minari.variants import ROBOTS, specification
+from imujoco_minari.variants import known_robots, specification
 
 VERSION = "v3.0"
 
@@ -41,7 +41,7 @@ def write(data: Arrays, target: Path, *, states_only: bool) -> None:
     except ImportError:
         raise missing_dependency("pyarrow", "lerobot", "the format lerobot") from None
     robot = data.table[0].robot
-    rate = specification(robot).steps_per_second if robot in ROBOTS else _UNKNOWN_RATE
+    rate = specification(robot).steps_per_second if robot in known_robots() else _UNKNOWN_RATE
     columns = _columns(data, rate, states_only)
     files = _files(data)
     for number in np.unique(files):
@@ -56,7 +56,7 @@ def write(data: Arrays, target: Path, *, states_only: bool) -> None:
     _json(target / "meta" / "info.json", _info(data, columns, rate))
 
 
-def _columns(data: Arrays, rate: int, states_only: bool) -> ColumnArrays:
+def _columns(data: Arrays, rate: float, states_only: bool) -> ColumnArrays:
     frame = np.arange(len(data)) - np.repeat(data.episode_starts, data.episode_lengths)
     columns: ColumnArrays = {"observation.state": data.observations.astype(np.float32)}
     if not states_only:
@@ -112,7 +112,7 @@ def _statistics(column: NDArray[Any]) -> dict[str, list[float]]:
     return {name: value.tolist() for name, value in numbers.items()}
 
 
-def _info(data: Arrays, columns: ColumnArrays, rate: int) -> dict[str, Any]:
+def _info(data: Arrays, columns: ColumnArrays, rate: float) -> dict[str, Any]:
     features = {
         name: {"dtype": str(column.dtype), "shape": list(column.shape[1:]) or [1], "names": None}
         for name, column in columns.items()

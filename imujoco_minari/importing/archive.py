@@ -14,7 +14,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from imujoco_minari.envs.external_mjcf import MAX_BYTES, canonical_foreign_mjcf
+from imujoco_minari.envs.external_mjcf import canonical_foreign_mjcf
+from imujoco_minari.envs.untrusted_mjcf import MAX_BYTES
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError, StorageError, VariantError
 from imujoco_minari.importing.safe_unpack import open_zip, unpack
 from imujoco_minari.variants.original import OriginalVariant

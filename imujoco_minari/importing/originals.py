@@ -20,13 +20,13 @@ from imujoco_minari.importing.columns import ARRAY, Layout, read_table
 from imujoco_minari.importing.physics import Physics
 from imujoco_minari.importing.safe_unpack import Array, read_npz
 from imujoco_minari.importing.transitions import Cut, Transitions, cut, episodes, fidelity
-from imujoco_minari.policies import Policy, RandomPolicy, read_actor
+from imujoco_minari.policies import Policy, random_policy, read_actor
 from imujoco_minari.policies.evaluation import evaluate
 from imujoco_minari.policies.rollouts import episode_seed
 from imujoco_minari.publishing.publisher import NewDataset, Published, publish_episodes
 from imujoco_minari.storage import file_format
 from imujoco_minari.storage.metadata import provenance
-from imujoco_minari.variants import EXPERT, specification
+from imujoco_minari.variants import EXPERT
 from imujoco_minari.variants.original import CATALOGUE, ORIGINAL, RECOLLECTED, OriginalVariant
 
 AUTHORS = frozenset({"Massimiliano Patacchiola", "Mingfei Sun", "Katja Hofmann", "Richard E. Turner"})
@@ -106,9 +106,8 @@ def recollect(archive: Archive, variant: OriginalVariant, how: Import) -> Publis
     """
     source, mjcf = archive.mjcf(variant)
     with archive.member(variant, "policies").on_disk() as path:
-        policy = read_actor(path)
+        policy = read_actor(path).for_robot(variant.robot)
         digest = file_format.file_sha256(path)
-    policy.check(variant.robot)
     spec = environment_spec(variant, mjcf)
     description = (
         f"The original iMuJoCo policy of {variant}, from {SOURCE}, rolled out deterministically for "
@@ -164,7 +163,7 @@ def _attributes(variant: OriginalVariant, tier: str) -> dict[str, Any]:
 
 def _common(variant: OriginalVariant, spec: EnvSpec, algorithm: str, description: str) -> dict[str, Any]:
     """Return the metadata that imported and recollected datasets share."""
-    env, policy = gym.make(spec), RandomPolicy(specification(variant.robot).action_size)
+    env, policy = gym.make(spec), random_policy(variant.robot)
     try:
         random = evaluate(env, policy, episodes=REFERENCE_EPISODES)
     finally:

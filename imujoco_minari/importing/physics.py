@@ -1,6 +1,6 @@
 """One step of a robot from any of its observations, by today's simulator.
 
-An observation of these robots is their whole state but for the horizontal position, which nothing
+An observation of these robots begins with their whole state but for the horizontal position, which nothing
 depends on, so a recorded step can be simulated again on its own. This compares imported data with the
 variant's model. It also gives the observation after the last step, where a file lacks it.
 """
@@ -14,6 +14,8 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
+
+from imujoco_minari.variants import specification
 
 Array = NDArray[Any]
 
@@ -52,7 +54,8 @@ class Physics:
     def __init__(self, spec: EnvSpec) -> None:
         self._env = gym.make(spec)
         self._raw = cast(Any, self._env.unwrapped)
-        self.positions = self._raw.model.nq - 1
+        self.positions = specification(self._raw.variant.robot).observed_positions
+        self._hidden = self._raw.model.nq - self.positions
         self.can_terminate = hasattr(self._raw, "is_healthy")
         noise = self._raw._reset_noise_scale
         # HalfCheetah's initial velocities are normal with that deviation, the others' are uniform.
@@ -60,7 +63,7 @@ class Physics:
         self._reset_bounds = np.concatenate(
             [np.full(self.positions, 1.01 * noise), np.full(self._raw.model.nv, spread * noise)]
         )
-        self._rest = np.concatenate([self._raw.init_qpos[1:], self._raw.init_qvel])
+        self._rest = np.concatenate([self._raw.init_qpos[self._hidden :], self._raw.init_qvel])
 
     def __enter__(self) -> Physics:
         return self
@@ -81,7 +84,9 @@ class Physics:
 
     def looks_reset(self, observations: Array) -> Array:
         """Return, for each of the observations ``(n, size)``, whether an episode could begin with it."""
-        return np.asarray((np.abs(observations - self._rest) <= self._reset_bounds).all(axis=1))
+        return np.asarray(
+            (np.abs(observations[:, : len(self._rest)] - self._rest) <= self._reset_bounds).all(axis=1)
+        )
 
     def fidelity(self, before: Array, actions: Array, after: Array, rewards: Array | None) -> Fidelity:
         """Compare recorded steps with the same steps simulated; states that are not whole are left out.
@@ -92,7 +97,7 @@ class Physics:
             after: the observations that followed.
             rewards: what was given for them, ``(n,)``, or None.
         """
-        velocities = np.abs(before[:, self.positions :])
+        velocities = np.abs(before[:, self.positions : self.positions + self._raw.model.nv])
         whole = np.flatnonzero((velocities < CLIPPED).all(axis=1) | (not self.can_terminate))
         if not len(whole):
             return Fidelity(0)
@@ -107,5 +112,6 @@ class Physics:
     def _set(self, observation: Array) -> None:
         self._raw.data.qacc_warmstart[:] = 0.0
         self._raw.set_state(
-            np.concatenate([[0.0], observation[: self.positions]]), observation[self.positions :]
+            np.concatenate([np.zeros(self._hidden), observation[: self.positions]]),
+            observation[self.positions : self.positions + self._raw.model.nv],
         )

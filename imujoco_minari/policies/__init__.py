@@ -4,7 +4,7 @@ This package reads and writes policies, chooses the policies of each tier, runs 
 evaluates them. It knows nothing of datasets.
 """
 
-from imujoco_minari.policies.actors import LANES, Actor, Array, Policy, RandomPolicy
+from imujoco_minari.policies.actors import LANES, Actor, Array, Policy, RandomPolicy, random_policy
 from imujoco_minari.policies.experts import (
     agent_file,
     expert_actor,
@@ -29,5 +29,6 @@ __all__ = [
     "find_policy_file",
     "load_policy",
     "policies_folder",
+    "random_policy",
     "read_actor",
 ]

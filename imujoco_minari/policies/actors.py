@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imujoco_minari.errors import PolicyError, clipped
-from imujoco_minari.variants import ROBOTS, specification
+from imujoco_minari.variants import known_robots, specification
 
 Array = NDArray[Any]
 
@@ -68,26 +68,38 @@ class Policy(Protocol):
 
 @dataclass(frozen=True)
 class RandomPolicy:
-    """Draws actions uniformly from ``[-1, 1]``, the action space of all three robots.
+    """Draws actions uniformly from the action space.
 
     Attributes:
         action_size: length of an action.
         algorithm: ``random``.
         deterministic: False.
+        bound: largest absolute value of an action's entry.
     """
 
     action_size: int
     algorithm: str = "random"
     deterministic: bool = False
+    bound: float = 1.0
 
     @property
     def sha256(self) -> str:
         """Digest of the distribution's name: a random policy has no weights."""
-        return hashlib.sha256(b"uniform [-1, 1]").hexdigest()
+        return hashlib.sha256(f"uniform [-{self.bound:g}, {self.bound:g}]".encode()).hexdigest()
 
     def act(self, observation: Array, rng: np.random.Generator) -> Array:
         """Return a uniformly random action."""
-        return rng.uniform(-1.0, 1.0, self.action_size).astype(np.float32)
+        return rng.uniform(-self.bound, self.bound, self.action_size).astype(np.float32)
+
+
+def random_policy(robot: str) -> RandomPolicy:
+    """Return the random policy of a robot.
+
+    Raises:
+        VariantError: when there is no such robot.
+    """
+    page = specification(robot)
+    return RandomPolicy(page.action_size, bound=page.action_bound)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -102,6 +114,7 @@ class Actor:
         activation: class name in ``torch.nn`` of the hidden layers' activation: ``ReLU``, ``Tanh``,
             ``ELU`` or ``SiLU``.
         record: the training record of an expert, with its evaluation; else empty.
+        bound: largest absolute value of an action's entry. The squashed Gaussian is scaled by it.
 
     Raises:
         PolicyError: when the arrays are not the weights of such an actor.
@@ -112,6 +125,7 @@ class Actor:
     deterministic: bool = True
     activation: str = "ReLU"
     record: Mapping[str, Any] = field(default_factory=dict)
+    bound: float = 1.0
 
     def __post_init__(self) -> None:
         _check_shapes(self.weights)
@@ -153,7 +167,7 @@ class Actor:
         return digest.hexdigest()
 
     def act(self, observation: Array, rng: np.random.Generator) -> Array:
-        """Return the action, float32 in ``[-1, 1]``, for an observation.
+        """Return the action, float32 in ``[-bound, bound]``, for an observation.
 
         The result for a row of a batch differs from the result for that row alone by float32 rounding.
 
@@ -168,8 +182,7 @@ class Actor:
         if not self.deterministic:
             log_std = np.clip(_affine(latent, self._log_std), *_LOG_STD_RANGE)
             mean = mean + np.exp(log_std) * rng.standard_normal(mean.shape, dtype=np.float32)
-        action: Array = np.tanh(mean)
-        return action
+        return self._scale(np.tanh(mean))
 
     def act_together(self, observations: Array, rngs: Sequence[np.random.Generator]) -> Array:
         """Return the actions, of shape (b, action size), for several observations.
@@ -191,8 +204,20 @@ class Actor:
             log_std = np.clip(_affine_together(latent, self._log_std), *_LOG_STD_RANGE)
             for row, rng in enumerate(rngs):
                 mean[row] += np.exp(log_std[row]) * rng.standard_normal(mean.shape[1], dtype=np.float32)
-        action: Array = np.tanh(mean[: len(observations)])
-        return action
+        return self._scale(np.tanh(mean[: len(observations)]))
+
+    def _scale(self, action: Array) -> Array:
+        return action if self.bound == 1.0 else action * np.float32(self.bound)
+
+    def for_robot(self, robot: str) -> Actor:
+        """Return the actor with the action bound of a robot.
+
+        Raises:
+            PolicyError: when it has not the observation and action size of the robot.
+        """
+        self.check(robot)
+        bound = specification(robot).action_bound
+        return self if bound == self.bound else replace(self, bound=bound)
 
     def check(self, robot: str) -> None:
         """Check that the actor has the observation and action size of a robot.
@@ -203,7 +228,7 @@ class Actor:
         sizes = (self.observation_size, self.action_size)
         expected = specification(robot).sizes
         if sizes != expected:
-            fits = [name for name in ROBOTS if specification(name).sizes == sizes]
+            fits = [name for name in known_robots() if specification(name).sizes == sizes]
             raise PolicyError(
                 f"the policy maps {sizes[0]} observations to {sizes[1]} actions, but {robot} has "
                 f"{expected[0]} and {expected[1]}" + (f"; it fits {' and '.join(fits)}" if fits else "")

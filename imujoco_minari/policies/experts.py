@@ -8,11 +8,12 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from imujoco_minari.errors import PolicyError, PolicyNotFoundError
+from imujoco_minari.errors import PolicyError, PolicyNotFoundError, VariantError
 from imujoco_minari.policies.actors import Actor
 from imujoco_minari.policies.files import actor_of_bytes
 from imujoco_minari.variants import Variant
@@ -38,7 +39,8 @@ def expert_actor(variant: Variant, *, deterministic: bool = True) -> Actor:
     path = find_policy_file(f"{variant}.safetensors")
     if path is None:
         raise PolicyNotFoundError(f"{variant} has a training record, but {variant}.safetensors is missing")
-    return actor_of_bytes(path.read_bytes(), path.name, record["algorithm"], deterministic, record)
+    actor = actor_of_bytes(path.read_bytes(), path.name, record["algorithm"], deterministic, record)
+    return actor.for_robot(variant.robot)
 
 
 def expert_record(variant: Variant, folder: Path | None = None) -> Mapping[str, Any]:
@@ -66,11 +68,12 @@ def expert_record(variant: Variant, folder: Path | None = None) -> Mapping[str, 
 def expert_variants() -> tuple[Variant, ...]:
     """Return the variants that have an expert policy of the user or of the package, sorted."""
     names = {path.name for place in _places(None) if place.is_dir() for path in place.glob("*-*.json")}
-    return tuple(
-        sorted(
-            Variant.parse(name.removesuffix(".json")) for name in names if not name.endswith(".agent.json")
-        )
-    )
+    found = []
+    for name in names:
+        # The user may have policies of robots whose pages are not loaded now.
+        with suppress(VariantError):
+            found.append(Variant.parse(name.removesuffix(".json")))
+    return tuple(sorted(found))
 
 
 def agent_file(name: Variant | str, folder: Path | None = None) -> Path | None:

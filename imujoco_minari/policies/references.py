@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from imujoco_minari.errors import ArgumentError, PolicyNotFoundError, clipped
-from imujoco_minari.policies import Array, RandomPolicy, expert_record
+from imujoco_minari.policies import Array, expert_record, random_policy
 from imujoco_minari.policies.evaluation import Evaluation, evaluate
-from imujoco_minari.variants import Variant, specification
+from imujoco_minari.variants import Variant
 
 EPISODES = 100
 
@@ -42,7 +42,7 @@ def reference_scores(variant: Variant) -> dict[str, Any]:
 @lru_cache(maxsize=256)
 def random_evaluation(variant: Variant) -> Evaluation:
     """Evaluate the random policy for 100 episodes of a variant."""
-    return evaluate(variant, RandomPolicy(specification(variant.robot).action_size), episodes=EPISODES)
+    return evaluate(variant, random_policy(variant.robot), episodes=EPISODES)
 
 
 def normalized_score(variant: Variant | str | Sequence[Variant | str], returns: ArrayLike) -> Array:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from imujoco_minari.policies.experts import expert_record
-from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS, Variant, bases, catalogue
+from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS, Variant, catalogue, specification
 
 # The share that an expert should reach.
 BAR = 0.95
@@ -70,9 +70,10 @@ def standings(
     lines = []
     for robot in robots:
         for category in categories:
-            variants = (
-                [v for v in bases() if v.robot == robot] if category == BASE else catalogue(robot, category)
-            )
+            if category != BASE and category not in specification(robot).categories:
+                continue
+            base = (Variant(robot, BASE, 0, ""),)
+            variants = base if category == BASE else catalogue(robot, category)
             records = [record for variant in variants if (record := expert_record(variant, folder))]
             shares = [share for record in records if (share := share_of_base(record, folder)) is not None]
             lines.append(

@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from imujoco_minari.errors import DatasetError, PolicyNotFoundError, suggestion
-from imujoco_minari.policies.actors import Actor, Policy, RandomPolicy
+from imujoco_minari.policies.actors import Actor, Policy, random_policy
 from imujoco_minari.policies.experts import expert_actor, expert_record, find_policy_file
 from imujoco_minari.policies.files import read_actor
-from imujoco_minari.variants import EXPERT, Variant, specification
+from imujoco_minari.variants import EXPERT, Variant
 
 RANDOM, MEDIUM, MEDIUM_EXPERT, RANKED, REPLAY = "random", "medium", "medium-expert", "ranked", "replay"
 TIERS = (EXPERT, MEDIUM, RANDOM, MEDIUM_EXPERT, RANKED, REPLAY)
@@ -130,8 +130,7 @@ def rung_file(variant: Variant, steps: int) -> str:
 def _makers(variant: Variant, tier: str, path: str | Path | None, stochastic: bool) -> list[_Maker]:
     """Return the policies that make a dataset; each makes the same number of episodes."""
     if path is not None:
-        actor = read_actor(path, deterministic=not stochastic)
-        actor.check(variant.robot)
+        actor = read_actor(path, deterministic=not stochastic).for_robot(variant.robot)
         return [(actor, {})]
     if tier == REPLAY:
         raise PolicyNotFoundError(
@@ -158,7 +157,7 @@ def _medium(variant: Variant, deterministic: bool) -> list[_Maker]:
 
 
 def _random(variant: Variant, deterministic: bool) -> list[_Maker]:
-    return [(RandomPolicy(specification(variant.robot).action_size), {})]
+    return [(random_policy(variant.robot), {})]
 
 
 def _medium_expert(variant: Variant, deterministic: bool) -> list[_Maker]:
@@ -205,7 +204,7 @@ def _read_rung(variant: Variant, rung: Mapping[str, Any], deterministic: bool) -
     if path is None:
         raise PolicyNotFoundError(f"the training record of {variant} names {name}, which is missing")
     algorithm = expert_record(variant)["algorithm"]
-    return read_actor(path, deterministic=deterministic, algorithm=algorithm)
+    return read_actor(path, deterministic=deterministic, algorithm=algorithm).for_robot(variant.robot)
 
 
 def _mean_return(rung: Mapping[str, Any]) -> float:

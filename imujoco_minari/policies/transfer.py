@@ -128,15 +128,12 @@ def evaluate_transfer(
         TransferError: if the state file has another format, or a process was lost.
         StorageError: if the state file cannot be written.
     """
-    for policy in policies.values():
-        for robot in {variant.robot for variant in variants}:
-            _check_fits_robot(policy, robot)
-    known = _read_state(state)
     wanted = [
-        _Cell(name, policy, variant, episodes, seed)
+        _Cell(name, _for_robot(policy, variant.robot), variant, episodes, seed)
         for name, policy in policies.items()
         for variant in variants
     ]
+    known = _read_state(state)
     cells: dict[tuple[str, Variant], Evaluation] = {}
     missing = []
     for cell in wanted:
@@ -196,9 +193,8 @@ def _evaluation(cell: _Cell, row: Mapping[str, Any]) -> Evaluation:
     )
 
 
-def _check_fits_robot(policy: Any, robot: str) -> None:
-    if hasattr(policy, "check"):
-        policy.check(robot)
+def _for_robot(policy: Any, robot: str) -> Any:
+    return policy.for_robot(robot) if hasattr(policy, "for_robot") else policy
 
 
 def _read_state(state: Path) -> dict[str, dict[str, Any]]:

@@ -14,7 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from imujoco_minari.errors import CatalogueError
 from imujoco_minari.storage import file_format
+from imujoco_minari.variants import adopt_page
 
 METADATA_FILE = "metadata.json"
 MAX_METADATA_BYTES = 2**24
@@ -27,6 +29,8 @@ _AUTHORS = frozenset({"imujoco_minari"})
 def read_metadata(data: Path) -> dict[str, Any]:
     """Return the content of ``metadata.json``; empty if it is not a JSON object of at most 16 MiB.
 
+    A dataset of a user's robot stores the robot's page. This makes the robot known, unless the page is wrong.
+
     Args:
         data: the dataset's ``data`` folder.
     """
@@ -37,7 +41,22 @@ def read_metadata(data: Path) -> dict[str, Any]:
         metadata = json.loads(path.read_text("utf-8"))
     except (OSError, ValueError, RecursionError):
         return {}
-    return metadata if isinstance(metadata, dict) else {}
+    if not isinstance(metadata, dict):
+        return {}
+    _adopt_page(metadata)
+    return metadata
+
+
+def _adopt_page(metadata: Mapping[str, Any]) -> None:
+    """Make the robot known whose page the environment's specification holds."""
+    try:
+        arguments = json.loads(metadata["env_spec"])["kwargs"]
+        page = arguments["page"]
+        variant = arguments.get("variant") or arguments["variants"][0]
+        adopt_page(str(variant).partition("-")[0], dict(page))
+    except (CatalogueError, ValueError, TypeError, KeyError, IndexError, AttributeError, RecursionError):
+        # Most datasets have no page. With a wrong one the robot stays unknown, which the next step reports.
+        return
 
 
 def requirements(versions: Mapping[str, str]) -> list[str]:

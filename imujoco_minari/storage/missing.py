@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from imujoco_minari.errors import DatasetNotFoundError, VariantError
 from imujoco_minari.storage import minari_root
-from imujoco_minari.variants import CATEGORIES, EXPERT, NAMESPACE, ROBOTS, parse_dataset_id
+from imujoco_minari.variants import CATEGORIES, EXPERT, NAMESPACE, known_robots, parse_dataset_id
 
 
 def not_in_root(dataset_id: str) -> DatasetNotFoundError:
@@ -29,7 +29,7 @@ def making(dataset_id: str) -> str:
         return ""
     robot, _, rest = dataset_id.removeprefix(f"{NAMESPACE}/").removesuffix("-v0").partition("-")
     part, _, tier = rest.partition("-")
-    if robot in ROBOTS and part in ("all", *CATEGORIES):
+    if robot in known_robots() and part in ("all", *CATEGORIES):
         category = "" if part == "all" else f" --category {part}"
         return f"imujoco combine --robot {robot}{category}" + (f" --tier {tier}" if tier else "")
     try:

@@ -75,4 +75,5 @@ def _evaluate_rung(variant: Variant, steps: int, episodes: int, policies: Path |
     path = find_policy_file(rung_file(variant, steps), policies)
     if path is None:
         raise FileNotFoundError(rung_file(variant, steps))
-    return evaluate(variant, read_actor(path), episodes=episodes, seed=LADDER_SEED).asdict()
+    actor = read_actor(path).for_robot(variant.robot)
+    return evaluate(variant, actor, episodes=episodes, seed=LADDER_SEED).asdict()

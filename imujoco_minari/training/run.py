@@ -264,7 +264,7 @@ class Run:
         return score
 
     def _evaluate(self, arrays: dict[str, Array], episodes: int, seed: int) -> Evaluation:
-        actor = actor_of(arrays, self.task.settings.algorithm)
+        actor = actor_of(arrays, self.task.settings.algorithm).for_robot(self.task.variant.robot)
         return evaluate(self._evaluation_env, actor, episodes=episodes, seed=seed)
 
     def _save_checkpoint(self) -> None:

@@ -79,6 +79,6 @@ def best_start(variant: Variant, policies: Path | None = None) -> Start:
 
 def _evaluate_start(variant: Variant, start: Start) -> Start:
     settings = hyperparameters(variant.robot, WARM)
-    actor = actor_of(agent_actor(start.agent), settings.algorithm)
+    actor = actor_of(agent_actor(start.agent), settings.algorithm).for_robot(variant.robot)
     outcome = evaluate(variant, actor, episodes=settings.ranking_episodes, seed=START_SEED)
     return replace(start, score=outcome.mean_less_std)

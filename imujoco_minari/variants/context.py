@@ -27,7 +27,7 @@ def parameters(robot: str) -> tuple[str, ...]:
         >>> parameters("hopper")[:2]
         ('mass/torsogeom', 'mass/thighgeom')
     """
-    changes = specification(robot).changes
+    changes = specification(robot).categories
     return tuple(f"{category}/{body}" for category, change in changes.items() for body in change.bodies)
 
 

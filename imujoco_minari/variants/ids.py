@@ -6,13 +6,14 @@ A *variant* is a robot with one *category* of physical parameter changed by a si
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from imujoco_minari.errors import VariantError, clipped, suggestion
-from imujoco_minari.variants.robots import CATEGORIES, ROBOTS, specification
+from imujoco_minari.variants.pages import CATEGORIES, Listing
+from imujoco_minari.variants.robots import ROBOTS, adopt_page, carried_page, known_robots, specification
 
 NAMESPACE = "imujoco"
 BASE = "base"
@@ -32,7 +33,7 @@ class Variant:
     """One robot with one physical parameter changed, or the unchanged base robot.
 
     Attributes:
-        robot: one of ``ROBOTS``, as in ``hopper``.
+        robot: a robot that has a page, as in ``hopper``.
         category: ``mass``, ``joint``, ``length`` or ``friction``; ``base`` for the base robot.
         percent: signed change in percent of the base value; 0 for the base robot.
         body: the MJCF name without underscores, ``feet`` for friction; empty for the base robot.
@@ -50,17 +51,12 @@ class Variant:
     body: str
 
     def __post_init__(self) -> None:
-        robot_spec = specification(self.robot)
+        specification(self.robot)
         if self.category == BASE:
             if self.percent or self.body:
                 raise VariantError(f"{self.robot}-{BASE}: the base robot has no percent and no body")
             return
-        change = robot_spec.changes.get(self.category)
-        if change is None:
-            raise VariantError(
-                f"unknown category {self.category!r}{suggestion(self.category, CATEGORIES)}; "
-                f"valid: {', '.join(CATEGORIES)}"
-            )
+        change = _listing(self.robot, self.category)
         if self.body not in change.bodies:
             raise VariantError(
                 f"{self.robot} has no body {self.body!r} for {self.category}"
@@ -98,7 +94,7 @@ class Variant:
         match = _ID.fullmatch(name)
         if match is None:
             raise VariantError(
-                f"malformed variant id {clipped(text)!r}{suggestion(name[:80], _catalogue_ids())}; "
+                f"malformed variant id {clipped(text)!r}{suggestion(name[:80], _known_ids())}; "
                 "valid: <robot>-<category><inc|dec>_<percent>_<body>, "
                 "as in hopper-massdec_25_leggeom, or <robot>-base"
             )
@@ -114,6 +110,12 @@ class Variant:
             return cls(match["robot"], match["category"], percent, match["body"])
         except VariantError as error:
             raise VariantError(f"{clipped(text)!r}: {error}") from None
+
+    def __reduce__(self) -> tuple[Callable[..., Variant], tuple[object, ...]]:
+        # Another process may not know a robot of the user: its page travels with the variant.
+        page = carried_page(self.robot)
+        values = (self.robot, self.category, self.percent, self.body)
+        return _with_page, (type(self), None if page is None else dict(page), *values)
 
     def __str__(self) -> str:
         if self.category == BASE:
@@ -146,7 +148,7 @@ class Variant:
         """Names of the MJCF geoms (joints, for the category ``joint``) that are changed."""
         if self.category == BASE:
             return ()
-        return specification(self.robot).changes[self.category].bodies[self.body]
+        return specification(self.robot).categories[self.category].bodies[self.body]
 
     @property
     def environment_id(self) -> str:
@@ -168,27 +170,31 @@ class Variant:
 
 
 def catalogue(robot: str | None = None, category: str | None = None) -> tuple[Variant, ...]:
-    """Return the published variants, in the catalogue's order, of one robot and category or of all.
+    """Return listed variants, in the catalogue's order, of one robot and category or of all.
+
+    Without a robot, these are the 154 published variants or those of one category. A robot that is not of
+    the original must be named.
 
     Raises:
         VariantError: when there is no such robot or category.
     """
-    if robot is not None:
-        specification(robot)
     if category is not None and category not in CATEGORIES:
         raise VariantError(
             f"unknown category {clipped(category)!r}{suggestion(category[:80], CATEGORIES)}; "
             f"valid: {', '.join(CATEGORIES)}"
         )
+    if robot is not None and category is not None:
+        _listing(robot, category)
     return tuple(
         variant
-        for variant in _catalogue()
-        if robot in (None, variant.robot) and category in (None, variant.category)
+        for each in (ROBOTS if robot is None else (robot,))
+        for variant in _listed(each)
+        if category in (None, variant.category)
     )
 
 
 def bases() -> tuple[Variant, ...]:
-    """Return the unchanged robots. The catalogue's 154 variants do not include them."""
+    """Return the unchanged robots of the catalogue. Its 154 variants do not include them."""
     return tuple(Variant(robot, BASE, 0, "") for robot in ROBOTS)
 
 
@@ -209,19 +215,37 @@ def parse_dataset_id(dataset_id: str) -> tuple[Variant, str]:
     return variant, "-".join(words[2:]) or EXPERT
 
 
-@cache
-def _catalogue() -> tuple[Variant, ...]:
-    return tuple(_listed())
-
-
-def _listed() -> Iterator[Variant]:
-    for robot in ROBOTS:
-        for category, change in specification(robot).changes.items():
-            for body in change.bodies:
-                for percent in change.percents:
-                    yield Variant(robot, category, percent, body)
+def _listing(robot: str, category: str) -> Listing:
+    """Return a category of a robot's page; raise a VariantError when the robot has no such category."""
+    categories = specification(robot).categories
+    if category not in categories:
+        raise VariantError(
+            f"{robot} has no category {clipped(category)!r}{suggestion(category[:80], categories)}; "
+            f"valid: {', '.join(categories)}"
+        )
+    return categories[category]
 
 
 @cache
-def _catalogue_ids() -> tuple[str, ...]:
-    return tuple(str(variant) for variant in (*_catalogue(), *bases()))
+def _listed(robot: str) -> tuple[Variant, ...]:
+    """Return the variants that a robot's page lists."""
+    return tuple(
+        Variant(robot, category, percent, body)
+        for category, listing in specification(robot).categories.items()
+        for body in listing.bodies
+        for percent in listing.percents
+    )
+
+
+def _known_ids() -> list[str]:
+    """Return the listed ids of all known robots and their bases, for suggestions."""
+    return [
+        str(variant) for robot in known_robots() for variant in (*_listed(robot), Variant(robot, BASE, 0, ""))
+    ]
+
+
+def _with_page(kind: type[Variant], page: Mapping[str, str] | None, robot: str, *values: Any) -> Variant:
+    """Return a variant that comes from another process, and make its robot known first."""
+    if page is not None:
+        adopt_page(robot, page)
+    return kind(robot, *values)

@@ -1,7 +1,7 @@
 """Splits for generalisation: variants to train on, and held-out variants to test on.
 
-The named splits are data (``splits.toml``), so that a paper can name one and mean the same variants for ever.
-They are over the 154 variants of the catalogue; the bases are on neither side.
+The named splits are data, so that a paper can name one and mean the same variants for ever. The splits of one
+robot are in its page, those over several in ``splits.toml``. The bases are on neither side.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 
 from imujoco_minari.errors import CatalogueError, VariantError, clipped, suggestion
 from imujoco_minari.variants.ids import Variant, catalogue
-from imujoco_minari.variants.robots import specification
+from imujoco_minari.variants.robots import ROBOTS, known_robots, specification
 
 _RULES = ("robot", "category", "body", "percent", "variant")
 
@@ -80,7 +80,7 @@ def held_out(name: str) -> HeldOut:
         >>> held_out("hopper-friction-v1").test[0]
         'hopper-frictiondec_50_feet'
     """
-    splits = _splits()
+    splits = _splits(known_robots())
     if not isinstance(name, str) or name not in splits:
         shown = clipped(name)
         raise VariantError(f"unknown split {shown!r}{suggestion(shown, splits)}; valid: {', '.join(splits)}")
@@ -88,15 +88,12 @@ def held_out(name: str) -> HeldOut:
 
 
 def held_out_names(robot: str | None = None) -> tuple[str, ...]:
-    """Return the names of all splits, or of the splits within one robot.
+    """Return the names of the splits over the catalogue's 154 variants, or of the splits within one robot.
 
     Raises:
         VariantError: when ``robot`` is not a robot.
     """
-    if robot is None:
-        return tuple(_splits())
-    specification(robot)
-    return tuple(name for name, split in _splits().items() if split.robots == (robot,))
+    return tuple(_splits(ROBOTS)) if robot is None else tuple(_page_splits(robot))
 
 
 def parse_splits(text: str, name: str) -> Mapping[str, HeldOut]:
@@ -146,7 +143,22 @@ def _follows(variant: Variant, rule: Mapping[str, Any]) -> bool:
     )
 
 
+def _splits(within: Iterable[str]) -> dict[str, HeldOut]:
+    """Return the named splits: those within each of these robots, then those over several."""
+    parts = (*map(_page_splits, within), _shared())
+    return {title: split for part in parts for title, split in part.items()}
+
+
 @cache
-def _splits() -> Mapping[str, HeldOut]:
+def _page_splits(robot: str) -> Mapping[str, HeldOut]:
+    splits = {}
+    for name, table in specification(robot).splits.items():
+        title = f"{robot}-{name}"
+        splits[title] = _split(title, {**table, "robot": robot}, f"{robot}.toml: [splits.{name}]")
+    return MappingProxyType(splits)
+
+
+@cache
+def _shared() -> Mapping[str, HeldOut]:
     file = resources.files("imujoco_minari.variants").joinpath("splits.toml")
     return parse_splits(file.read_text("utf-8"), "splits.toml")

@@ -12,6 +12,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeGuard
 
+import numpy as np
+
 from imujoco_minari.errors import ImujocoError
 from imujoco_minari.policies import expert_record
 from imujoco_minari.policies.references import reference_scores
@@ -90,7 +92,7 @@ def sources(metadata: Mapping[str, Any], variant: Variant, tier: str) -> list[st
 
 def spaces(robot: str) -> dict[str, Any]:
     """Return the serialised spaces of a robot's environments, as JSON values."""
-    sizes = specification(robot).sizes
+    page = specification(robot)
     return {
         f"{name}_space": {
             "type": "Box",
@@ -100,8 +102,8 @@ def spaces(robot: str) -> dict[str, Any]:
             "high": [bound] * size,
         }
         for name, dtype, size, bound in (
-            ("observation", "float64", sizes[0], float("inf")),
-            ("action", "float32", sizes[1], 1.0),
+            ("observation", "float64", page.observation_size, float("inf")),
+            ("action", "float32", page.action_size, float(np.float32(page.action_bound))),
         )
     }
 

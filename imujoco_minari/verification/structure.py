@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from imujoco_minari.storage import file_format
-from imujoco_minari.variants import ROBOTS, specification
+from imujoco_minari.variants import known_robots, specification
 from imujoco_minari.verification.bounded_read import Episode
 from imujoco_minari.verification.findings import Finding, same, shown
 
@@ -45,7 +45,7 @@ def arrays(episode: Episode) -> Iterator[Finding]:
         "observations": (steps + 1, *episode.arrays["observations"].shape[1:2]),
         "actions": (steps, *episode.arrays["actions"].shape[1:2]),
     }
-    if robot in ROBOTS:
+    if robot in known_robots():
         observation, action = specification(robot).sizes
         shapes = {"observations": (steps + 1, observation), "actions": (steps, action)}
     for key in file_format.ARRAYS:

@@ -23,7 +23,7 @@ from safetensors.numpy import save as safetensors_bytes
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 with atheris.instrument_imports(include=["imujoco_minari"]):
-    from imujoco_minari.envs.external_mjcf import check_text
+    from imujoco_minari.envs.untrusted_mjcf import check_text
     from imujoco_minari.errors import ImujocoError, JobError
     from imujoco_minari.importing.safe_unpack import open_zip, read_npz
     from imujoco_minari.policies import files, read_actor, sb3_reader

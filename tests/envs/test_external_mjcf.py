@@ -12,10 +12,11 @@ import original_archive
 import pytest
 
 import imujoco_minari
-from imujoco_minari.envs import collection_spec, environment_spec, external_mjcf, mjcf
+from imujoco_minari.envs import collection_spec, environment_spec, external_mjcf, mjcf, untrusted_mjcf
 from imujoco_minari.envs.differences import model_differences
-from imujoco_minari.envs.external_mjcf import canonical_foreign_mjcf, check_mjcf
+from imujoco_minari.envs.external_mjcf import canonical_foreign_mjcf
 from imujoco_minari.envs.registration import current_spec, dataset_spec, is_entry_point, stored_models
+from imujoco_minari.envs.untrusted_mjcf import check_mjcf
 from imujoco_minari.errors import ModelError, RenderingError, VariantError
 from imujoco_minari.importing.catalogue_diff import common_differences, coverage, departure
 from imujoco_minari.limits import run_limited
@@ -162,8 +163,10 @@ def test_a_text_is_compiled_apart_once(monkeypatch: pytest.MonkeyPatch) -> None:
         calls.append(arguments)
         return run_limited(*arguments, **limits)
 
-    monkeypatch.setattr(external_mjcf, "run_limited", counted)
-    monkeypatch.setattr(external_mjcf, "_WITHIN_BOUNDS", set())
+    within: set[str] = set()
+    monkeypatch.setattr(untrusted_mjcf, "run_limited", counted)
+    monkeypatch.setattr(untrusted_mjcf, "WITHIN_BOUNDS", within)
+    monkeypatch.setattr(external_mjcf, "WITHIN_BOUNDS", within)
     text = mjcf.canonical_mjcf(Variant("hopper", "mass", 3, "leggeom"))
     for _ in range(2):
         check_mjcf(text, "test")
@@ -175,15 +178,15 @@ def test_a_text_is_compiled_apart_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_child_that_is_killed_is_a_model_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(external_mjcf, "_MEASURE", "limited_calls:crash")
+    monkeypatch.setattr(untrusted_mjcf, "_MEASURE", "limited_calls:crash")
     with pytest.raises(ModelError, match=r"test: compiling the model kills the process \(SIGSEGV\)"):
         canonical_foreign_mjcf(base_xml("hopper"), "hopper", "test")
 
 
 @pytest.mark.parametrize("variant", [*bases(), *catalogue(category="length")], ids=str)
 def test_our_own_models_are_far_within_the_bounds(variant: Variant) -> None:
-    fields = external_mjcf._measure(mjcf.compile_mjcf(mjcf.canonical_mjcf(variant)))
-    for field, (_, high) in external_mjcf._BOUNDS.items():
+    fields = untrusted_mjcf.measure(mjcf.compile_mjcf(mjcf.canonical_mjcf(variant)))
+    for field, (_, high) in untrusted_mjcf._BOUNDS.items():
         assert fields[field] <= high / 2, field
 
 
@@ -276,7 +279,7 @@ def test_a_spec_that_is_no_earlier_one_stays_as_it_is() -> None:
     for entry_point in ("imujoco_minari.envs:HopperVariantEnv", "os:system", None, 5):
         assert current_spec({"entry_point": entry_point}) == {"entry_point": entry_point}
     assert is_entry_point("imujoco_minari.envs:CollectionEnv")
-    for other in ("imujoco_minari.envs:make", "imujoco_minari.importing.environments:OriginalAntEnv", None):
+    for other in ("imujoco_minari.envs:make", "imujoco_minari.importing.environments:OriginalCrabEnv", None):
         assert not is_entry_point(current_spec({"entry_point": other})["entry_point"])
 
 

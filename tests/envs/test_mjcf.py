@@ -290,7 +290,7 @@ def test_a_change_of_nothing_is_the_stock_environment_step_for_step(robot: str, 
     from imujoco_minari.envs.registration import make
 
     ids = {"hopper": "Hopper-v5", "halfcheetah": "HalfCheetah-v5", "walker2d": "Walker2d-v5"}
-    for body in specification(robot).changes[category].bodies:
+    for body in specification(robot).categories[category].bodies:
         theirs = gymnasium.make(ids[robot], disable_env_checker=True)
         ours = make(Variant(robot, category, 0, body), disable_env_checker=True)
         rng = np.random.default_rng(1)

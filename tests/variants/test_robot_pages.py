@@ -6,12 +6,13 @@ import ast
 from pathlib import Path
 
 import gymnasium as gym
+import numpy as np
 import pytest
 
 import imujoco_minari
 from imujoco_minari.errors import CatalogueError
 from imujoco_minari.training.hyperparameters import SCRATCH, hyperparameters
-from imujoco_minari.variants import CATEGORIES, ROBOTS, parse_specification, specification
+from imujoco_minari.variants import CATEGORIES, ROBOTS, known_robots, parse_specification, specification
 
 PACKAGE = Path(imujoco_minari.__file__).parent
 
@@ -19,6 +20,7 @@ GOOD = """
 environment = "Hopper-v5"
 model = "hopper.xml"
 observation_size = 11
+observed_positions = 5
 action_size = 3
 steps_per_second = 125
 root_joints = ["rootx", "rootz", "rooty"]
@@ -43,7 +45,7 @@ def test_a_specification_reads_back_what_it_says() -> None:
     assert parsed.stance == {"leg_joint": -34.0}
     assert parsed.training == {"warm": {"max_steps": 7}}
     assert parsed.healthy_z_range == (0.7, float("inf"))
-    assert parsed.changes["mass"].bodies == {"footgeom": ("foot_geom",)}
+    assert parsed.categories["mass"].bodies == {"footgeom": ("foot_geom",)}
 
 
 @pytest.mark.parametrize(
@@ -56,9 +58,12 @@ def test_a_specification_reads_back_what_it_says() -> None:
         ('feet = ["foot_geom"]', "feet = 3", ["feet must be a list"]),
         ("[0.7, inf]", "[0.7]", ["healthy_z_range"]),
         ("action_size = 3", "action_size = 3.0", ["action_size must be a whole number above 0"]),
-        ("steps_per_second = 125", "steps_per_second = 0", ["steps_per_second must be a whole number"]),
+        ("steps_per_second = 125", "steps_per_second = 0", ["steps_per_second must be a number above 0"]),
         ("observation_size = 11\n", "", ["observation_size must be a whole number"]),
-        (', "rooty"]', "]", ["root_joints must name three joints"]),
+        ("root_joints =", "listed = 1\nroot_joints =", ["listed must be true or false"]),
+        ("observed_positions = 5", "observed_positions = 11", ["observed_positions must be less than"]),
+        ('"Hopper-v5"', '"evil:Hopper-v5"', ["'evil:Hopper-v5' is not the id of a MuJoCo environment"]),
+        ('"hopper.xml"', '"../hopper.xml"', ["'../hopper.xml' is not the name of an MJCF file"]),
         ("healthy = 1\n", "", ["[reward] must hold control_cost and healthy"]),
         ("leg_joint = -34", 'leg_joint = "bent"', ["[stance] must hold numbers"]),
         ("[training.warm]\nmax_steps", "[training]\nmax_steps", ["[training] must hold one table"]),
@@ -74,25 +79,31 @@ def test_a_wrong_specification_is_named(before: str, after: str, words: list[str
 
 def test_the_robots_are_those_with_a_page_the_smallest_first() -> None:
     pages = {path.stem for path in (PACKAGE.parent / "env_specs").glob("*.toml")}
-    assert set(ROBOTS) == pages
-    assert ROBOTS == ("hopper", "halfcheetah", "walker2d")
+    assert set(known_robots()) == pages
+    assert ROBOTS == ("hopper", "halfcheetah", "walker2d") == known_robots()[:3]
 
 
-@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("robot", known_robots())
 def test_a_page_agrees_with_gymnasium(robot: str) -> None:
     page = specification(robot)
     env = gym.make(page.environment).unwrapped
     assert env.observation_space.shape == (page.observation_size,)
     assert env.action_space.shape == (page.action_size,)
-    assert env.dt == 1 / page.steps_per_second  # type: ignore[attr-defined]
-    assert env._ctrl_cost_weight == page.reward.control_cost  # type: ignore[attr-defined]
-    assert getattr(env, "_healthy_reward", 0.0) == page.reward.healthy
+    assert set(env.action_space.high) == {np.float32(page.action_bound)} == set(-env.action_space.low)
+    assert env.dt == pytest.approx(1 / page.steps_per_second, rel=1e-12)  # type: ignore[attr-defined]
+    if page.reward is not None:
+        assert env._ctrl_cost_weight == page.reward.control_cost  # type: ignore[attr-defined]
+        assert getattr(env, "_healthy_reward", 0.0) == page.reward.healthy
+    assert page.healthy_z_range == getattr(env, "_healthy_z_range", None)
     model = env.model  # type: ignore[attr-defined]
-    assert [model.joint(i).name for i in range(3)] == list(page.root_joints)
-    assert {model.joint(name).bodyid[0] for name in page.root_joints} == {1}
+    count = model.body_jntnum[1]
+    assert [model.joint(i).name for i in range(count)] == list(page.root_joints)
     assert all(model.joint(name).id >= 0 for name in page.stance)
-    # One position of the root is not observed: what follows the others is the forward velocity.
-    assert page.forward_velocity == model.nq - 1
+    # An observation begins with positions, and the velocities follow.
+    observation, _ = env.reset(seed=3)
+    data, positions = env.data, page.observed_positions  # type: ignore[attr-defined]
+    assert np.array_equal(observation[:positions], data.qpos[-positions:])
+    assert np.array_equal(observation[positions : positions + model.nv], data.qvel)
     env.close()
 
 
@@ -108,7 +119,7 @@ def robot_tables(path: Path) -> list[int]:
         node.lineno
         for node in ast.walk(ast.parse(path.read_text("utf-8")))
         if isinstance(node, ast.Dict)
-        and sum(isinstance(key, ast.Constant) and key.value in ROBOTS for key in node.keys) > 1
+        and any(isinstance(key, ast.Constant) and key.value in known_robots() for key in node.keys)
     ]
 
 

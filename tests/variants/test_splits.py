@@ -130,7 +130,7 @@ def test_an_unknown_split_gets_the_nearest() -> None:
     with pytest.raises(VariantError, match="unknown split 'None'"):
         held_out(None)  # type: ignore[arg-type]
     with pytest.raises(VariantError, match="unknown robot"):
-        held_out_names("ant")
+        held_out_names("crab")
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from policy_zips import write_zip
 
-from imujoco_minari.envs.external_mjcf import check_text
+from imujoco_minari.envs.untrusted_mjcf import check_text
 from imujoco_minari.errors import DatasetError, ImujocoError
 from imujoco_minari.importing.safe_unpack import open_zip, read_npz, unpack
 from imujoco_minari.policies import read_actor

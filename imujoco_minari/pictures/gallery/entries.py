@@ -12,11 +12,11 @@ import numpy as np
 
 from imujoco_minari.envs.differences import Difference, differences
 from imujoco_minari.errors import VariantError
-from imujoco_minari.policies import RandomPolicy, expert_record
+from imujoco_minari.policies import expert_record, random_policy
 from imujoco_minari.policies.evaluation import evaluate
 from imujoco_minari.policies.tiers import RANDOM
 from imujoco_minari.storage import file_format, minari_root
-from imujoco_minari.variants import BASE, EXPERT, NAMESPACE, Variant, parse_dataset_id, specification
+from imujoco_minari.variants import BASE, EXPERT, NAMESPACE, Variant, parse_dataset_id
 
 # A rough return is enough for a random policy. Records have a more exact one.
 RANDOM_EPISODES = 10
@@ -107,8 +107,7 @@ def scores(variant: Variant, random: Score | None = None) -> tuple[Score, ...]:
 
 def measured_random(variant: Variant) -> Score:
     """Roll the random policy out and return its score."""
-    policy = RandomPolicy(specification(variant.robot).action_size)
-    outcome = evaluate(variant, policy, episodes=RANDOM_EPISODES)
+    outcome = evaluate(variant, random_policy(variant.robot), episodes=RANDOM_EPISODES)
     return _score_from_evaluation(RANDOM, "uniform actions", outcome.asdict(), "measured for this page")
 
 

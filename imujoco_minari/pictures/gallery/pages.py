@@ -12,7 +12,7 @@ from imujoco_minari.envs.differences import Difference
 from imujoco_minari.pictures.gallery.clips import SIZE
 from imujoco_minari.pictures.gallery.entries import Entry, Score
 from imujoco_minari.policies.tiers import RANDOM
-from imujoco_minari.variants import BASE, CATEGORIES, EXPERT, ROBOTS, Variant, specification
+from imujoco_minari.variants import BASE, CATEGORIES, EXPERT, Variant, specification
 
 MINUS, DASH, SPACE = "\N{MINUS SIGN}", "\N{EN DASH}", "\N{NO-BREAK SPACE}"
 WHAT = {
@@ -34,7 +34,8 @@ def index_page(entries: Sequence[Entry]) -> str:
         bases=_format_count(len(entries) - changed, "base robot"),
         experts=experts,
         version=escape(version("imujoco-minari")),
-        robots=_render_options((robot, specification(robot).title) for robot in ROBOTS),
+        robots=_render_options((robot, _title(robot)) for robot in dict.fromkeys(v.robot for v in variants)),
+        titles=escape(", ".join(_title(robot) for robot in dict.fromkeys(v.robot for v in variants))),
         categories=_render_options((name, name) for name in (*CATEGORIES, BASE)),
         bodies=_render_options((name, name) for name in sorted({v.body for v in variants if v.body})),
         percents=_render_options(
@@ -116,7 +117,7 @@ def snippets(entry: Entry) -> list[tuple[str, str, str]]:
 
 def _render_card(entry: Entry, number: int) -> str:
     variant, best = entry.variant, entry.best
-    title = specification(variant.robot).title
+    title = _title(variant.robot)
     words = (
         " ".join((str(variant), title, variant.category, *variant.mjcf_names, short(variant)))
         .lower()
@@ -286,6 +287,10 @@ def _format_number(value: float) -> str:
 
 def _format_significant(value: float) -> str:
     return f"{value:.5g}".replace("-", MINUS)
+
+
+def _title(robot: str) -> str:
+    return specification(robot).title
 
 
 def _load_template(name: str) -> Template:

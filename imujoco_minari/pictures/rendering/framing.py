@@ -1,7 +1,7 @@
 """Position of the camera: the complete robot is visible in every picture.
 
-This module needs no OpenGL. The robots consist of capsules, and a capsule is visible if the spheres at its
-two ends are. The distance of the camera follows from them in closed form.
+This module needs no OpenGL. The robots consist of capsules and spheres, and a capsule is visible if the
+spheres at its two ends are. The distance of the camera follows from them in closed form.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+
+from imujoco_minari.envs.mjcf import round_geoms
 
 Floats = NDArray[np.float64]
 
@@ -31,10 +33,12 @@ class Capsules:
     Attributes:
         ends: positions of the ends in m, of shape (frames, ends, 3).
         radii: radius at each end in m, of shape (ends,).
+        sideways: y of the torso in m, of shape (frames,); 0 for robots that move in a plane.
     """
 
     ends: Floats
     radii: Floats
+    sideways: Floats
 
     @property
     def middle(self) -> Floats:
@@ -86,18 +90,23 @@ def axes() -> tuple[Floats, Floats, Floats]:
 
 
 def capsules(model: mujoco.MjModel, positions: Floats) -> Capsules:
-    """Return the robot's capsules for ``positions`` of shape (frames, nq)."""
+    """Return the robot's capsules, and its spheres as capsules without length.
+
+    Args:
+        model: the robot.
+        positions: of shape (frames, nq).
+    """
     data = mujoco.MjData(model)
-    chosen = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE)
-    radii, halves = model.geom_size[chosen, 0], model.geom_size[chosen, 1]
-    ends = np.empty((len(positions), 2 * len(chosen), 3))
+    chosen, radii, halves = round_geoms(model)
+    ends, sideways = np.empty((len(positions), 2 * len(chosen), 3)), np.empty(len(positions))
     for frame, position in enumerate(positions):
         data.qpos[:] = position
         mujoco.mj_kinematics(model, data)
         along = data.geom_xmat.reshape(-1, 3, 3)[chosen, :, 2] * halves[:, None]
         centres = data.geom_xpos[chosen]
         ends[frame] = np.concatenate([centres - along, centres + along])
-    return Capsules(ends, np.concatenate([radii, radii]))
+        sideways[frame] = data.xpos[1, 1]
+    return Capsules(ends, np.concatenate([radii, radii]), sideways)
 
 
 def follow(motions: Sequence[Capsules], aspect: float, frame_seconds: float) -> list[Camera]:
@@ -111,8 +120,9 @@ def follow(motions: Sequence[Capsules], aspect: float, frame_seconds: float) -> 
     height = max(motion.top for motion in motions) / 2
     lookats = []
     for motion in motions:
-        path = _moving_average(motion.middle, round(SMOOTHING / frame_seconds))
-        lookats.append(np.stack([path, np.zeros_like(path), np.full_like(path, height)], axis=-1))
+        window = round(SMOOTHING / frame_seconds)
+        path, aside = _moving_average(motion.middle, window), _moving_average(motion.sideways, window)
+        lookats.append(np.stack([path, aside, np.full_like(path, height)], axis=-1))
     distance = max(
         _fitting_distance(motion, lookat, aspect) for motion, lookat in zip(motions, lookats, strict=True)
     )

@@ -28,8 +28,20 @@ def stance(variant: Variant) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     position = np.array(data.qpos)
     seen = capsules(model, position[None])
     lowest = (seen.ends[0, :, 2] - seen.radii).min()
-    position[model.joint(page.root_joints[1]).qposadr[0]] -= lowest
+    height = _height_index(model)
+    if height is not None:
+        position[height] -= lowest
     return position
+
+
+def _height_index(model: mujoco.MjModel) -> int | None:
+    """Return the index of the root's height in the positions; None for a robot that moves on a level."""
+    for joint in range(model.body_jntadr[1], model.body_jntadr[1] + model.body_jntnum[1]):
+        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
+            return int(model.jnt_qposadr[joint]) + 2
+        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE and model.jnt_axis[joint][2] == 1.0:
+            return int(model.jnt_qposadr[joint])
+    return None
 
 
 def portraits(variants: Sequence[Variant], studio: Studio) -> list[Image.Image]:

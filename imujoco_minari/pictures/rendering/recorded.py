@@ -15,6 +15,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from imujoco_minari.envs.mjcf import compile_mjcf, model_text
 from imujoco_minari.envs.registration import make
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError
 from imujoco_minari.pictures.rendering.motion import Motion, PositionRecorder, timestep
@@ -81,9 +82,11 @@ class Recorded:
 
     def _from_observations(self) -> Motion:
         step = timestep(self.variant, self.mjcf)
-        # All positions but the first come before the velocities.
-        others = specification(self.variant.robot).forward_velocity
-        run = np.concatenate([[0.0], np.cumsum(self.observations[1:, others]) * step])
+        # The positions that are not observed are the distances run: forward, and for some robots sideways.
+        others = specification(self.variant.robot).observed_positions
+        hidden = compile_mjcf(model_text(self.variant, self.mjcf)).nq - others
+        velocities = self.observations[1:, others : others + hidden]
+        run = np.concatenate([np.zeros((1, hidden)), np.cumsum(velocities, axis=0) * step])
         positions = np.column_stack([run, self.observations[:, :others]]).astype(np.float64)
         title = f"{self.title}, as observed"
         return Motion(self.variant, positions, self.rewards, step, self.terminated, title, mjcf=self.mjcf)

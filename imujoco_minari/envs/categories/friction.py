@@ -1,0 +1,45 @@
+"""Friction: the sliding friction of the contacts between feet and floor, and of no other contacts.
+
+A contact takes the larger friction of its two geoms, so a smaller friction of the foot alone would change
+little or nothing. An explicit contact pair overrides both. Its other parameters are those that MuJoCo derives
+from the two geoms.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from imujoco_minari.envs.categories.interface import CategoryLaw, Edit, find, find_all
+
+
+def _apply(edit: Edit) -> None:
+    floor = find(edit.spec, "geom", "floor")
+    for foot in find_all(edit, "geom"):
+        slide, spin, roll = _either(foot, floor, "friction")
+        slide *= edit.factor
+        pair = edit.spec.add_pair(geomname1="floor", geomname2=foot.name)
+        pair.condim = int(_either(foot, floor, "condim"))
+        pair.friction = [slide, slide, spin, roll, roll]
+        pair.solref, pair.solimp = _mixed(foot, floor, "solref"), _mixed(foot, floor, "solimp")
+        pair.margin = foot.margin + floor.margin
+        pair.gap = foot.gap + floor.gap
+
+
+def _either(foot: Any, floor: Any, name: str) -> Any:
+    """Return the larger value of the two geoms, or that of the geom with the higher priority."""
+    if foot.priority != floor.priority:
+        return getattr(max(foot, floor, key=lambda geom: geom.priority), name)
+    return np.maximum(getattr(foot, name), getattr(floor, name))
+
+
+def _mixed(foot: Any, floor: Any, name: str) -> Any:
+    """Return the mean of the two geoms by their weights, or the value of the geom with priority."""
+    if foot.priority != floor.priority:
+        return getattr(max(foot, floor, key=lambda geom: geom.priority), name)
+    share = foot.solmix / (foot.solmix + floor.solmix)
+    return share * getattr(foot, name) + (1 - share) * getattr(floor, name)
+
+
+CATEGORY = CategoryLaw("friction", "friction", "friction on the floor", "geom", _apply, frozenset())

@@ -1,0 +1,106 @@
+"""What a category is, and how it finds the parts of a model that a page names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+
+from imujoco_minari.errors import ModelError, suggestion
+from imujoco_minari.variants import RobotSpecification
+
+
+@dataclass(frozen=True)
+class Edit:
+    """One change, as a category applies it to a model.
+
+    Attributes:
+        spec: the model, with its compiled inertias written out. The category changes it in place.
+        names: MJCF names of the parts to change.
+        factor: the factor on the base value, ``1 + percent / 100``.
+        page: the robot's page.
+    """
+
+    spec: mujoco.MjSpec
+    names: tuple[str, ...]
+    factor: float
+    page: RobotSpecification
+
+
+@dataclass(frozen=True)
+class CategoryLaw:
+    """A physical parameter that a variant may change.
+
+    Attributes:
+        name: the word in ids.
+        noun: the parameter in one word, for captions.
+        quantity: the parameter in full.
+        part: the kind of the model's parts that a page names for it: ``limb``, ``geom``, ``joint``,
+            ``motor`` or ``world``.
+        apply: edits a model. A factor of 1 leaves the compiled model the same to the bit.
+        fields: names of the fields of the compiled model that it changes. All others stay, but those that
+            MuJoCo derives from these.
+        moves_limbs: whether the shape changes, so that the robot must be stood on the floor again.
+    """
+
+    name: str
+    noun: str
+    quantity: str
+    part: str
+    apply: Callable[[Edit], None]
+    fields: frozenset[str]
+    moves_limbs: bool = False
+
+
+def find(spec: mujoco.MjSpec, part: str, name: str) -> Any:
+    """Return the part of a model that a page names.
+
+    Args:
+        spec: the model.
+        part: the kind of the part. A ``limb`` is a body, named by itself or by its only geom; a ``motor``
+            is named by the joint that it moves; the ``world`` is the model's options.
+        name: the MJCF name.
+
+    Raises:
+        ModelError: when the model has no such part.
+    """
+    if part == "limb":
+        found, known = _limb(spec, name), _limb_names(spec)
+    elif part == "motor":
+        found = next((motor for motor in spec.actuators if motor.target == name), None)
+        known = [motor.target for motor in spec.actuators]
+    elif part == "world":
+        found, known = spec.option if name == "world" else None, ["world"]
+    else:
+        found = getattr(spec, part)(name)
+        known = [element.name for element in getattr(spec, f"{part}s")]
+    if found is None:
+        known = [each for each in known if each]
+        raise ModelError(
+            f"the model has no {part} {name!r}{suggestion(name, known)}; valid: {', '.join(known)}"
+        )
+    return found
+
+
+def find_all(edit: Edit, part: str) -> Iterator[Any]:
+    """Yield the parts that an edit names."""
+    return (find(edit.spec, part, name) for name in edit.names)
+
+
+def _limb(spec: mujoco.MjSpec, name: str) -> mujoco.MjsBody | None:
+    geom = spec.geom(name)
+    if geom is None:
+        return spec.body(name) if name != "world" else None
+    body = geom.parent
+    if body.name != name and len(body.geoms) != 1:
+        raise ModelError(f"body {body.name!r} has several geoms, so {name!r} cannot change alone")
+    return body
+
+
+def _limb_names(spec: mujoco.MjSpec) -> list[str]:
+    names = []
+    for body in spec.bodies[1:]:
+        names += [body.name] if len(body.geoms) != 1 else [body.geoms[0].name or body.name]
+    return names

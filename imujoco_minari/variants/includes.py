@@ -1,0 +1,55 @@
+"""Reads a user's MJCF file as one text, with the files that it includes."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+from imujoco_minari.errors import CatalogueError
+
+
+def read_model(path: Path) -> str:
+    """Return the MJCF text of a file, with each ``<include file="..."/>`` replaced by that file's content.
+
+    A dataset stores the model as one text, so the model may name no other files.
+
+    Raises:
+        CatalogueError: when a file cannot be read, is not XML, or an include names a file outside the folder
+            of ``path``.
+    """
+    root = _read(path)
+    _insert_includes(root, path, path.parent.resolve(), (path.resolve(),))
+    return ET.tostring(root, encoding="unicode")
+
+
+def _insert_includes(element: ET.Element, path: Path, folder: Path, open_files: tuple[Path, ...]) -> None:
+    for child in list(element):
+        if child.tag != "include":
+            _insert_includes(child, path, folder, open_files)
+            continue
+        named = child.get("file", "")
+        file = (folder / named).resolve()
+        if not file.is_relative_to(folder):
+            raise CatalogueError(
+                f"{path}: includes the file {named!r}, which is outside its folder; valid: a file in {folder}"
+            )
+        if file in open_files:
+            raise CatalogueError(f"{path}: includes the file {named!r}, which includes itself")
+        part = _read(file)
+        _insert_includes(part, path, folder, (*open_files, file))
+        place = list(element).index(child)
+        element.remove(child)
+        for offset, inner in enumerate(part):
+            element.insert(place + offset, inner)
+
+
+def _read(path: Path) -> ET.Element:
+    try:
+        text = path.read_text("utf-8")
+        if "<!DOCTYPE" in text or "<!ENTITY" in text:
+            raise CatalogueError(f"{path}: a model with a DOCTYPE or entities is refused")
+        return ET.fromstring(text)
+    except (OSError, UnicodeDecodeError) as error:
+        raise CatalogueError(f"{path}: cannot be read: {error}") from None
+    except (ET.ParseError, ValueError) as error:
+        raise CatalogueError(f"{path}: not XML: {error}") from None

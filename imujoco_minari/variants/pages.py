@@ -1,0 +1,249 @@
+"""The page of a robot: one TOML file holds every fact about it. This module reads a page's text.
+
+It knows nothing of MuJoCo.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from types import MappingProxyType
+from typing import Any
+
+from imujoco_minari.errors import CatalogueError, suggestion
+
+CATEGORIES = ("mass", "joint", "length", "friction")
+
+_ENVIRONMENT = re.compile(r"[A-Z][A-Za-z0-9]*-v5", re.ASCII)
+
+
+@dataclass(frozen=True)
+class Listing:
+    """What the catalogue lists for one category of one robot.
+
+    Attributes:
+        percents: the listed signed changes.
+        bodies: id name -> MJCF names of the geoms or joints behind it.
+    """
+
+    percents: tuple[int, ...]
+    bodies: Mapping[str, tuple[str, ...]]
+
+
+@dataclass(frozen=True)
+class Reward:
+    """The constants of a robot's reward: forward velocity - control_cost * |action|^2 + healthy.
+
+    Attributes:
+        control_cost: weight of the squared action.
+        healthy: reward (per step) for a healthy state.
+    """
+
+    control_cost: float
+    healthy: float
+
+
+@dataclass(frozen=True)
+class RobotSpecification:
+    """A robot's page. Each attribute is a key of the page; ``categories`` holds a table for each category.
+
+    Attributes:
+        environment: id of the Gymnasium environment that is perturbed, one of Gymnasium's MuJoCo
+            environments of version 5.
+        model: name of its MJCF file: a file beside the page, or one of Gymnasium's assets.
+        listed: whether the catalogue lists the robot without being asked for it.
+        observation_size: length of an observation.
+        observed_positions: how many positions an observation begins with. All velocities follow, the
+            forward velocity first.
+        action_size: length of an action.
+        action_bound: largest absolute value of an action's entry.
+        steps_per_second: environment steps in one simulated second.
+        root_joints: MJCF names of the joints that move the torso.
+        feet: MJCF names of the geoms that stand on the floor.
+        healthy_z_range: torso heights (m) outside which an episode ends; None where no height ends it.
+        reward: the constants of its reward; None where the reward has another formula.
+        stance: MJCF name of a joint -> its angle (degrees) in portraits; the other joints stay at rest.
+        training: start -> hyperparameters in which the robot differs from all others.
+        splits: name -> description and rules of a held-out split over the robot's variants.
+        categories: category -> its percents and bodies, for the categories of the robot.
+    """
+
+    environment: str
+    model: str
+    listed: bool
+    observation_size: int
+    observed_positions: int
+    action_size: int
+    action_bound: float
+    steps_per_second: float
+    root_joints: tuple[str, ...]
+    feet: tuple[str, ...]
+    healthy_z_range: tuple[float, float] | None
+    reward: Reward | None
+    stance: Mapping[str, float]
+    training: Mapping[str, Mapping[str, Any]]
+    splits: Mapping[str, Mapping[str, Any]]
+    categories: Mapping[str, Listing]
+
+    @property
+    def title(self) -> str:
+        """The robot's name as Gymnasium writes it, for example ``HalfCheetah``."""
+        return self.environment.rpartition("-v")[0]
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """Length of an observation, length of an action."""
+        return self.observation_size, self.action_size
+
+
+def parse_specification(text: str, name: str) -> RobotSpecification:
+    """Return the robot specification written in the TOML ``text`` of the file ``name``.
+
+    Raises:
+        CatalogueError: when the text is not TOML, or a key is missing, unknown or of the wrong kind.
+    """
+    try:
+        data = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise CatalogueError(f"{name}: not TOML: {error}") from None
+    known = {field.name for field in fields(RobotSpecification)} - {"categories"} | {*CATEGORIES}
+    unknown = sorted(set(data) - known)
+    if unknown:
+        raise CatalogueError(
+            f"{name}: unknown key {unknown[0]!r}{suggestion(unknown[0], known)}; "
+            f"valid: {', '.join(sorted(known))}"
+        )
+    page = _Page(data, name)
+    environment, model = page.text("environment"), page.text("model")
+    if not _ENVIRONMENT.fullmatch(environment):
+        raise CatalogueError(
+            f"{name}: environment {environment!r} is not the id of a MuJoCo environment of Gymnasium of "
+            "version 5; valid: as in Hopper-v5"
+        )
+    if not re.fullmatch(r"[\w.-]+\.xml", model):
+        raise CatalogueError(
+            f"{name}: model {model!r} is not the name of an MJCF file; valid: a file beside the page or one "
+            "of Gymnasium's, as in hopper.xml"
+        )
+    feet = page.names("feet") if "feet" in data else ()
+    specification = RobotSpecification(
+        environment=environment,
+        model=model,
+        listed=page.flag("listed"),
+        observation_size=page.count("observation_size"),
+        observed_positions=page.count("observed_positions"),
+        action_size=page.count("action_size"),
+        action_bound=page.above_zero("action_bound", 1.0),
+        steps_per_second=page.above_zero("steps_per_second"),
+        root_joints=page.names("root_joints"),
+        feet=feet,
+        healthy_z_range=page.healthy_z_range(),
+        reward=page.reward(),
+        stance=page.numbers("stance"),
+        training=page.tables("training", "start, as [training.warm]"),
+        splits=page.tables("splits", "split, as [splits.mass-v1]"),
+        categories=MappingProxyType(
+            {category: page.listing(category, feet) for category in CATEGORIES if category in data}
+        ),
+    )
+    if specification.observed_positions >= specification.observation_size:
+        raise CatalogueError(f"{name}: observed_positions must be less than observation_size")
+    return specification
+
+
+class _Page:
+    """The checked values of a page's keys.
+
+    Args:
+        data: the parsed TOML.
+        name: of the file, for messages.
+    """
+
+    def __init__(self, data: dict[str, Any], name: str) -> None:
+        self._data, self._name = data, name
+
+    def text(self, key: str) -> str:
+        value = self._data.get(key)
+        if not isinstance(value, str):
+            raise self._error(f"{key} must be text")
+        return value
+
+    def count(self, key: str) -> int:
+        value = self._data.get(key)
+        if type(value) is not int or value < 1:
+            raise self._error(f"{key} must be a whole number above 0")
+        return value
+
+    def above_zero(self, key: str, default: float = 0.0) -> float:
+        value = self._data.get(key, default)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < float("inf"):
+            raise self._error(f"{key} must be a number above 0")
+        return value
+
+    def flag(self, key: str) -> bool:
+        value = self._data.get(key, False)
+        if not isinstance(value, bool):
+            raise self._error(f"{key} must be true or false")
+        return value
+
+    def names(self, key: str) -> tuple[str, ...]:
+        return self._names(self._data.get(key), key)
+
+    def numbers(self, key: str) -> Mapping[str, float]:
+        table = self._data.get(key, {})
+        if not isinstance(table, dict) or not all(type(value) in (int, float) for value in table.values()):
+            raise self._error(f"[{key}] must hold numbers")
+        return MappingProxyType({item: float(value) for item, value in table.items()})
+
+    def tables(self, key: str, item: str) -> Mapping[str, Mapping[str, Any]]:
+        table = self._data.get(key, {})
+        if not isinstance(table, dict) or not all(isinstance(values, dict) for values in table.values()):
+            raise self._error(f"[{key}] must hold one table for each {item}")
+        return MappingProxyType({name: MappingProxyType(values) for name, values in table.items()})
+
+    def healthy_z_range(self) -> tuple[float, float] | None:
+        z_range = self._data.get("healthy_z_range")
+        if z_range is None:
+            return None
+        if (
+            not isinstance(z_range, list)
+            or len(z_range) != 2
+            or not all(isinstance(z, float) for z in z_range)
+        ):
+            raise self._error("healthy_z_range must be two floats, in metres")
+        return z_range[0], z_range[1]
+
+    def reward(self) -> Reward | None:
+        if "reward" not in self._data:
+            return None
+        reward = self.numbers("reward")
+        if set(reward) != {"control_cost", "healthy"}:
+            raise self._error("[reward] must hold control_cost and healthy, and nothing else")
+        return Reward(**reward)
+
+    def listing(self, category: str, feet: tuple[str, ...]) -> Listing:
+        table = self._data.get(category)
+        if not isinstance(table, dict) or set(table) != {"percents", "bodies"}:
+            raise self._error(f"[{category}] must hold percents and bodies, and nothing else")
+        percents = table["percents"]
+        if not isinstance(percents, list) or not all(
+            type(percent) is int and percent > -100 and percent != 0 for percent in percents
+        ):
+            raise self._error(f"[{category}] percents must be whole numbers above -100, and not 0")
+        names = self._names(table["bodies"], f"[{category}] bodies")
+        if "feet" in names and not feet:
+            raise self._error(f"[{category}] has the body feet, but the page has no key feet")
+        return Listing(
+            percents=tuple(percents),
+            bodies=MappingProxyType({n.replace("_", ""): feet if n == "feet" else (n,) for n in names}),
+        )
+
+    def _names(self, value: Any, key: str) -> tuple[str, ...]:
+        if not isinstance(value, list) or not value or not all(isinstance(item, str) for item in value):
+            raise self._error(f"{key} must be a list of names")
+        return tuple(value)
+
+    def _error(self, message: str) -> CatalogueError:
+        return CatalogueError(f"{self._name}: {message}")
