@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from imujoco_minari.variants import CATEGORIES, known_robots
+from imujoco_minari.variants import CATEGORIES, ROBOTS
 
 # What to work on.
 VariantId = Annotated[str, typer.Argument(metavar="VARIANT", help="A variant id.")]
@@ -25,7 +25,10 @@ def _either(words: Sequence[str]) -> str:
 Robot = Annotated[
     str | None,
     typer.Option(
-        "--robot", "-r", metavar="ROBOT", help=f"The variants of one robot: {_either(known_robots())}."
+        "--robot",
+        "-r",
+        metavar="ROBOT",
+        help=f"The variants of one robot: {', '.join(ROBOTS)}, or another that has a page.",
     ),
 ]
 Category = Annotated[
