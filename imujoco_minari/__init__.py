@@ -9,9 +9,9 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from imujoco_minari.envs.registration import load_catalogue, make, register, register_catalogue
+from imujoco_minari.envs.registration import load_catalogue, make, randomised, register, register_catalogue
 from imujoco_minari.errors import ImujocoError
-from imujoco_minari.variants import Variant, bases, catalogue
+from imujoco_minari.variants import Ranges, Variant, bases, catalogue
 
 if TYPE_CHECKING:
     from imujoco_minari.envs.mjcf import canonical_mjcf
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 __version__: str
 __all__ = [
     "ImujocoError",
+    "Ranges",
     "Sampler",
     "Variant",
     "arrays",
@@ -44,6 +45,7 @@ __all__ = [
     "make",
     "normalized_score",
     "publish",
+    "randomised",
     "register",
     "verify",
 ]

@@ -73,7 +73,7 @@ def plan(recipe: Recipe, *, force: bool = False) -> Planned:
 def _steps_per_episode(recipe: Recipe) -> float:
     """Return how long an episode is by the record of the expert, or else the time limit."""
     key = {EXPERT: "evaluation", "random": "random"}.get(recipe.tier) if recipe.policy is None else None
-    evaluation = expert_record(recipe.variant).get(key or "", {})
+    evaluation = expert_record(recipe.nominal).get(key or "", {})
     return float(evaluation.get("length_mean", STEPS_PER_EPISODE))
 
 

@@ -7,6 +7,7 @@ change.
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import Any
 
 from imujoco_minari.envs.registration import (
@@ -14,19 +15,29 @@ from imujoco_minari.envs.registration import (
     environment_spec,
     load_catalogue,
     make,
+    randomised,
+    randomised_spec,
     register,
     register_catalogue,
 )
 
-__all__ = ["collection_spec", "environment_spec", "load_catalogue", "make", "register", "register_catalogue"]
+__all__ = [
+    "collection_spec",
+    "environment_spec",
+    "load_catalogue",
+    "make",
+    "randomised",
+    "randomised_spec",
+    "register",
+    "register_catalogue",
+]
 
 
 def __getattr__(name: str) -> Any:
     # The environments import MuJoCo, which takes longer than the rest of the package.
-    if name == "CollectionEnv":
-        from imujoco_minari.envs import drawing
-
-        return getattr(drawing, name)
+    if name in ("CollectionEnv", "RandomisedEnv"):
+        module = import_module(f"{__name__}.{'drawing' if name == 'CollectionEnv' else 'randomised'}")
+        return getattr(module, name)
     if name.endswith("Env"):
         from imujoco_minari.envs import robots
 

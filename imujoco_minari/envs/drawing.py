@@ -65,9 +65,9 @@ class DrawingEnv(gym.Env[Any, Any]):
             VariantError: if this environment has no such variant.
         """
         super().reset(seed=seed)
-        self._show(self._choose((options or {}).get("variant")))
         if seed is None:
             seed = int(self.np_random.integers(np.iinfo(np.int64).max))
+        self._show(self._choose((options or {}).get("variant"), seed))
         observation, info = self._current.reset(seed=seed)
         return self._observed(observation), info | self._report()
 
@@ -81,8 +81,13 @@ class DrawingEnv(gym.Env[Any, Any]):
         return self._current.render()  # type: ignore[no-untyped-call]
 
     @abstractmethod
-    def _choose(self, name: str | None) -> VariantEnv:
-        """Return the environment of the named variant, or of a drawn one."""
+    def _choose(self, name: str | None, seed: int) -> VariantEnv:
+        """Return the environment of the named variant, or else of a drawn one.
+
+        Args:
+            name: id of the variant, or None.
+            seed: seed of the episode. ``np_random`` is seeded with it where the caller of ``reset`` gave it.
+        """
 
     def _begin_with(self, environment: VariantEnv, parameters: Sequence[str], observe_context: bool) -> None:
         """Set the spaces and the parameters, and show a first variant's environment."""
@@ -181,7 +186,7 @@ class CollectionEnv(DrawingEnv, EzPickle):
         for environment in self._environments.values():
             environment.close()  # type: ignore[no-untyped-call]
 
-    def _choose(self, name: str | None) -> VariantEnv:
+    def _choose(self, name: str | None, seed: int) -> VariantEnv:
         if name is None:
             name = self._draw()
         self._check(name)
@@ -212,7 +217,12 @@ class CollectionEnv(DrawingEnv, EzPickle):
 
     def _environment(self, name: str) -> VariantEnv:
         if name not in self._environments:
-            spec = environment_spec(name, self._models.get(name))
-            creator = load_env_creator(str(spec.entry_point))
-            self._environments[name] = cast(VariantEnv, creator(**spec.kwargs, **self._kwargs))
+            self._environments[name] = variant_environment(name, self._models.get(name), self._kwargs)
         return self._environments[name]
+
+
+def variant_environment(name: str, mjcf: str | None, arguments: Mapping[str, Any]) -> VariantEnv:
+    """Make a variant's own environment without wrappers."""
+    spec = environment_spec(name, mjcf)
+    creator = load_env_creator(str(spec.entry_point))
+    return cast(VariantEnv, creator(**spec.kwargs, **arguments))

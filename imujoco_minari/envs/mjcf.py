@@ -1,4 +1,4 @@
-"""Makes the canonical MJCF text of a variant, which training, collection, rendering and verification compile.
+"""Makes the model of a variant: its canonical MJCF text, and the same model compiled without the text.
 
 It starts from the robot's Gymnasium v5 model and first writes the compiled inertias into it. This removes
 HalfCheetah's ``settotalmass``, which would rescale every limb when one changes, and leaves every field of
@@ -8,8 +8,10 @@ the compiled model the same to the bit. Then the variant's category edits the mo
 from __future__ import annotations
 
 import hashlib
+from copy import copy
 from functools import lru_cache
 from importlib import resources
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -32,7 +34,19 @@ def canonical_mjcf(variant: Variant) -> str:
     Raises:
         ModelError: when MuJoCo cannot compile the edited model.
     """
-    return _edited(variant)[0]
+    return str(_edited(variant).spec.to_xml())
+
+
+def variant_model(variant: Variant) -> mujoco.MjModel:
+    """Return a new compiled model of ``variant``.
+
+    It equals ``compile_mjcf(canonical_mjcf(variant))`` in every byte, but writes and reads no text. That
+    takes a third of the time, which counts where each episode has another variant.
+
+    Raises:
+        ModelError: when MuJoCo cannot compile the edited model.
+    """
+    return copy(_edited(variant).model)
 
 
 def model_text(variant: Variant, mjcf: str | None = None) -> str:
@@ -72,7 +86,7 @@ def healthy_z_range(variant: Variant) -> tuple[float, float] | None:
 @lru_cache(maxsize=256)
 def root_shift(variant: Variant) -> float:
     """Return the height (m) of the root of ``variant`` above the base robot's."""
-    return _edited(variant)[1]
+    return _edited(variant).root_shift
 
 
 def compile_mjcf(text: str) -> mujoco.MjModel:
@@ -131,13 +145,18 @@ def check_robot(robot: str) -> None:
         raise ModelError(f"{robot}: {error}") from None
 
 
-def _edited(variant: Variant) -> tuple[str, float]:
-    """Return the canonical text of a variant, and the height (m) of its root above the base robot's."""
+class _Edited(NamedTuple):
+    spec: mujoco.MjSpec
+    model: mujoco.MjModel
+    root_shift: float
+
+
+@lru_cache(maxsize=4)
+def _edited(variant: Variant) -> _Edited:
     spec = _baked(variant.robot)
     try:
-        shift = apply_changes(spec, variant)
-        spec.compile()
-        return str(spec.to_xml()), shift
+        shift = sum((apply_changes(spec, change) for change in variant.changes), 0.0)
+        return _Edited(spec, spec.compile(), shift)
     except ModelError as error:
         raise ModelError(f"{variant}: {error}") from None
     except ValueError as error:
@@ -179,8 +198,13 @@ def _stand(spec: mujoco.MjSpec, clearance: float) -> float:
 
 
 def _baked(robot: str) -> mujoco.MjSpec:
-    """Return the base robot's spec with its compiled inertias written out."""
-    return bake(base_text(robot))
+    """Return a new spec of the base robot with its compiled inertias written out."""
+    return _bake_once(base_text(robot)).copy()
+
+
+@lru_cache(maxsize=16)
+def _bake_once(text: str) -> mujoco.MjSpec:
+    return bake(text)
 
 
 def base_text(robot: str) -> str:

@@ -27,11 +27,13 @@ from imujoco_minari.variants import (
     specification,
 )
 from imujoco_minari.variants.original import ORIGINAL, OriginalVariant
+from imujoco_minari.variants.ranges import RANDOMISED, UNIFORM, Ranges
 
 MAX_EPISODE_STEPS = 1000
 
 _MODULE = "imujoco_minari.envs"
 _COLLECTION = f"{_MODULE}:CollectionEnv"
+_RANDOMISED = f"{_MODULE}:RandomisedEnv"
 # Datasets that were published before VariantEnv took a text store these.
 _EARLIER = re.compile(r"imujoco_minari\.importing\.environments:Original(\w+)Env", re.ASCII)
 
@@ -84,6 +86,21 @@ def collection_spec(
     )
 
 
+def randomised_spec(ranges: Ranges) -> EnvSpec:
+    """Return the Gymnasium spec of the environment that draws variants from ranges."""
+    bounds = {name: list(pair) for name, pair in ranges.ranges.items()}
+    return _randomised_spec(ranges.robot, {"ranges": bounds, "distribution": ranges.distribution})
+
+
+def _randomised_spec(robot: str, arguments: Mapping[str, Any]) -> EnvSpec:
+    return EnvSpec(
+        id=f"{NAMESPACE}/{robot}-{RANDOMISED}-v0",
+        entry_point=_RANDOMISED,
+        max_episode_steps=MAX_EPISODE_STEPS,
+        kwargs={"robot": robot, **arguments, **_page(robot)},
+    )
+
+
 def dataset_spec(name: str, variants: Sequence[Variant | str], models: Mapping[str, str]) -> EnvSpec:
     """Return the Gymnasium spec of a dataset with episodes of ``variants``: of the one, or of a collection.
 
@@ -127,7 +144,7 @@ def current_spec(stored: Mapping[str, Any]) -> dict[str, Any]:
 
 def is_entry_point(entry_point: Any) -> bool:
     """Return whether a value is today's entry point of one of this package's environments."""
-    return entry_point in (_COLLECTION, *map(_entry_point, known_robots()))
+    return entry_point in (_COLLECTION, _RANDOMISED, *map(_entry_point, known_robots()))
 
 
 def make(variant: Variant | str, mjcf: str | None = None, **kwargs: Any) -> gym.Env[Any, Any]:
@@ -147,6 +164,36 @@ def make(variant: Variant | str, mjcf: str | None = None, **kwargs: Any) -> gym.
         (11,)
     """
     return gym.make(environment_spec(variant, mjcf), **kwargs)
+
+
+def randomised(
+    robot: str,
+    ranges: Mapping[str, Sequence[float]],
+    distribution: str = UNIFORM,
+    **kwargs: Any,
+) -> gym.Env[Any, Any]:
+    """Make an environment that draws parameters of a robot at each reset.
+
+    It is registered as ``imujoco/<robot>-randomised-v0``, which takes the same arguments.
+
+    Args:
+        robot: the robot, as in ``hopper``.
+        ranges: parameter -> lowest and highest percent of change.
+        distribution: ``uniform`` draws the percent uniformly; ``log-uniform`` draws the logarithm of the
+            factor 1 + percent / 100 uniformly.
+        **kwargs: what ``gymnasium.make`` takes, and ``parameters`` and ``observe_context`` of
+            :class:`~imujoco_minari.envs.randomised.RandomisedEnv`.
+
+    Raises:
+        VariantError: if there is no such robot or parameter, or a parameter cannot have such a percent.
+        DrawingError: if a range or the distribution is not valid.
+
+    Example:
+        >>> env = randomised("hopper", {"mass/torsogeom": (-50, 100), "friction/feet": (-50, 50)})
+        >>> env.reset(seed=0)[1]["variant"]
+        'hopper-massinc_91p44_torsogeom-frictiondec_18p37_feet'
+    """
+    return gym.make(randomised_spec(Ranges(robot, ranges, distribution)), **kwargs)
 
 
 def register(variant: Variant | str) -> str:
@@ -213,6 +260,8 @@ def _register_robot(robot: str) -> None:
     for category in (None, *specification(robot).categories):
         spec = collection_spec(f"{robot}-{category or 'all'}", catalogue(robot, category))
         registry.setdefault(spec.id, spec)
+    spec = _randomised_spec(robot, {})
+    registry.setdefault(spec.id, spec)
 
 
 def _page(robot: str) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from gymnasium.envs.registration import load_env_creator
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from imujoco_minari.envs.mjcf import compile_mjcf, healthy_z_range, model_text
+from imujoco_minari.envs.mjcf import compile_mjcf, healthy_z_range, model_text, variant_model
 from imujoco_minari.envs.untrusted_mjcf import check_mjcf
 from imujoco_minari.errors import CatalogueError, VariantError
 from imujoco_minari.variants import Variant, adopt_page, specification
@@ -37,7 +37,7 @@ _LOWEST_VELOCITY, _HIGHEST_VELOCITY = np.array(-10.0), np.array(10.0)
 
 @lru_cache(maxsize=4)
 def _compiled(text: str) -> mujoco.MjModel:
-    """Compile a model once for all environments that run it. Each takes a copy."""
+    """Compile a text once for all environments that run it. Each takes a copy."""
     return compile_mjcf(text)
 
 
@@ -52,7 +52,6 @@ class VariantEnv(MujocoEnv, EzPickle):
 
     Attributes:
         variant: the :class:`~imujoco_minari.variants.ids.Variant`.
-        mjcf: the MJCF text that the simulation runs.
 
     Raises:
         VariantError: when ``variant`` is not the id of a variant of the class's robot.
@@ -70,7 +69,7 @@ class VariantEnv(MujocoEnv, EzPickle):
             raise VariantError(f"{variant!r} is not a variant of {self.robot_environment}")
         if mjcf is not None:
             check_mjcf(mjcf, variant)
-        self.mjcf = model_text(self.variant, mjcf)
+        self._text = mjcf
         z_range = healthy_z_range(self.variant if mjcf is None else self.variant.base)
         defaults = {} if z_range is None else {"healthy_z_range": z_range}
         super().__init__(**(defaults | kwargs))
@@ -80,6 +79,11 @@ class VariantEnv(MujocoEnv, EzPickle):
             self._check_page()
 
     robot_environment: str
+
+    @property
+    def mjcf(self) -> str:
+        """The MJCF text that the simulation runs."""
+        return model_text(self.variant, self._text)
 
     def _check_page(self) -> None:
         """Check what the user's page states about the environment's sizes and times."""
@@ -98,7 +102,7 @@ class VariantEnv(MujocoEnv, EzPickle):
                 )
 
     def _initialize_simulation(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
-        model = copy(_compiled(self.mjcf))
+        model = variant_model(self.variant) if self._text is None else copy(_compiled(self._text))
         model.vis.global_.offwidth = max(model.vis.global_.offwidth, self.width)
         model.vis.global_.offheight = max(model.vis.global_.offheight, self.height)
         return model, mujoco.MjData(model)

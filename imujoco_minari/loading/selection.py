@@ -35,7 +35,7 @@ class Origin:
     robot: str = ""
     category: str = ""
     body: str = ""
-    percent: int = 0
+    percent: float = 0
     tier: str = ""
 
 
@@ -127,7 +127,7 @@ def episodes(view: View, file: EpisodeFile) -> list[EpisodeReference]:
         except (TypeError, ValueError):
             raise DatasetError(
                 f"{view.dataset_id}: episode {number} has attributes that are not text, or a percent "
-                "that is not a whole number"
+                "that is not a number"
             ) from None
         found.append(EpisodeReference(view, number, known[key]))
     return found
@@ -135,7 +135,8 @@ def episodes(view: View, file: EpisodeFile) -> list[EpisodeReference]:
 
 def _origin(attributes: Mapping[str, Any]) -> Origin:
     words = {name: str(value) for name, value in attributes.items() if name != "percent"}
-    return Origin(percent=int(attributes.get("percent", 0)), **words)
+    percent = float(attributes.get("percent", 0))
+    return Origin(percent=int(percent) if percent.is_integer() else percent, **words)
 
 
 def matching(found: Sequence[EpisodeReference], where: Mapping[str, Any]) -> list[EpisodeReference]:

@@ -17,13 +17,16 @@ from minari import DataCollector
 from minari.data_collector import EpisodeBuffer
 from numpy.typing import NDArray
 
-from imujoco_minari.envs.registration import make
+from imujoco_minari.envs.registration import environment_spec, randomised_spec
 from imujoco_minari.policies import LANES, Policy
 from imujoco_minari.policies.adapters import batch_act
 from imujoco_minari.policies.rollouts import episode_seed, roll_out_together
 from imujoco_minari.storage.quiet_file import safe_point
 from imujoco_minari.storage.writer import EpisodeStorage, new_storage
-from imujoco_minari.variants import Variant
+from imujoco_minari.variants import Ranges, Variant
+
+# Seed of an episode -> its attributes.
+Attributes = Callable[[int], Mapping[str, Any]]
 
 
 class StorageCollector(DataCollector):  # type: ignore[misc]
@@ -123,29 +126,29 @@ def _warn_if_outside(space: gym.Space[Any], rows: NDArray[Any], name: str) -> No
 
 
 def collect(
-    variant: Variant,
+    variant: Variant | Ranges,
     policy: Policy,
     episodes: Iterable[int],
     seed: int,
     target: Path,
-    attributes: Mapping[str, Any] | None = None,
+    attributes: Attributes = lambda seed: {},
     on_episode: Callable[[], None] = lambda: None,
 ) -> None:
     """Record episodes of a dataset as a Minari storage in a new folder.
 
     Args:
-        variant: the variant to step.
+        variant: the variant to step, or the ranges from which each episode draws one.
         policy: chooses the actions.
         episodes: numbers of the episodes in the dataset. Each number seeds its episode.
         seed: base seed of the dataset.
         target: the new folder of the storage. Its parent must exist.
-        attributes: attributes of every episode, in addition to Minari's own.
+        attributes: returns the attributes of the episode with a seed, in addition to Minari's own.
         on_episode: called after each episode.
     """
     seeds = [episode_seed(seed, episode) for episode in episodes]
-    envs = [make(variant) for _ in range(min(LANES, len(seeds)))]
-    storage = new_storage(target, envs[0], attributes or {})
-    ordered = OrderedStorage(storage)
+    spec = randomised_spec(variant) if isinstance(variant, Ranges) else environment_spec(variant)
+    envs = [gym.make(spec) for _ in range(min(LANES, len(seeds)))]
+    ordered = OrderedStorage(new_storage(target, envs[0], {}), attributes)
     collectors = [StorageCollector(env, ordered) for env in envs]
     try:
         for _ in roll_out_together(
@@ -155,7 +158,7 @@ def collect(
     finally:
         for collector in collectors:
             collector.close()
-        storage.flush()
+        ordered.flush()
 
 
 class OrderedStorage:
@@ -163,10 +166,11 @@ class OrderedStorage:
 
     Args:
         storage: the storage to write to.
+        attributes: returns the attributes of the episode with a seed, in addition to Minari's own.
     """
 
-    def __init__(self, storage: EpisodeStorage) -> None:
-        self._storage = storage
+    def __init__(self, storage: EpisodeStorage, attributes: Attributes = lambda seed: {}) -> None:
+        self._storage, self._attributes = storage, attributes
         self.data_path = storage.data_path
         self.observation_space, self.action_space = storage.observation_space, storage.action_space
         self._waiting: dict[int, EpisodeBuffer] = {}
@@ -176,5 +180,11 @@ class OrderedStorage:
         """Accept episodes that have ended, and write those whose predecessors are written."""
         self._waiting |= {buffer.id: buffer for buffer in episodes}
         while self._next in self._waiting:
-            self._storage.update_episodes([self._waiting.pop(self._next)])
+            buffer = self._waiting.pop(self._next)
+            self._storage.attributes = self._attributes(buffer.seed)
+            self._storage.update_episodes([buffer])
             self._next += 1
+
+    def flush(self) -> None:
+        """Write pending episodes to the disk."""
+        self._storage.flush()

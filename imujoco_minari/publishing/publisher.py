@@ -36,7 +36,7 @@ from imujoco_minari.storage import file_format, minari_root, transactions
 from imujoco_minari.storage.metadata import complete_metadata, provenance, read_metadata
 from imujoco_minari.storage.quiet_file import writing
 from imujoco_minari.storage.writer import new_storage
-from imujoco_minari.variants import EXPERT, Variant
+from imujoco_minari.variants import EXPERT, Ranges, Variant
 from imujoco_minari.verification import inspect
 
 
@@ -72,7 +72,7 @@ class Published:
 
 
 def publish(
-    variant: Variant | str | Recipe,
+    variant: Variant | str | Ranges | Recipe,
     *,
     tier: str = EXPERT,
     episodes: int = 100,
@@ -86,7 +86,8 @@ def publish(
     """Publish one variant's dataset in the Minari root.
 
     Args:
-        variant: a variant or its id, or a :class:`~imujoco_minari.publishing.recipes.Recipe`, which
+        variant: a variant or its id; or :class:`~imujoco_minari.variants.ranges.Ranges`, from which each
+            episode draws a variant; or a :class:`~imujoco_minari.publishing.recipes.Recipe`, which
             replaces the next five arguments.
         tier: the tier, which names the policy and is part of the dataset's id.
         episodes: number of episodes.
@@ -121,7 +122,8 @@ def publish(
         return _read_outcome(recipe.dataset_id, created=False)
     start = time.monotonic()
     made_by = recipe.parts()
-    metadata = reference_scores(recipe.variant) | recipe.stated() | {"tier": recipe.tier}
+    references = {} if isinstance(recipe.variant, Ranges) else reference_scores(recipe.variant)
+    metadata = references | recipe.stated() | {"tier": recipe.tier}
     metadata |= provenance(
         algorithm=algorithms([part.policy for part in made_by]), description=description(recipe, made_by)
     )
@@ -129,7 +131,7 @@ def publish(
         staged = folder / "dataset"
         staged.mkdir()
         record_shares(recipe, made_by, staged / "data", jobs, on_episode)
-        dataset = NewDataset(recipe.dataset_id, recipe.attributes, canonical_mjcf(recipe.variant), metadata)
+        dataset = NewDataset(recipe.dataset_id, recipe.attributes, canonical_mjcf(recipe.nominal), metadata)
         created = _check_and_commit(staged, dataset, force)
     return _read_outcome(recipe.dataset_id, created=created, seconds=time.monotonic() - start)
 

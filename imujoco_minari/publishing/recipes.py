@@ -11,7 +11,7 @@ from imujoco_minari.errors import DatasetError
 from imujoco_minari.policies import Policy
 from imujoco_minari.policies.tiers import TierPart, parts
 from imujoco_minari.storage import file_format
-from imujoco_minari.variants import EXPERT, Variant
+from imujoco_minari.variants import EXPERT, Ranges, Variant
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,8 @@ class Recipe:
     """Everything that decides the content of a dataset, beside software versions.
 
     Attributes:
-        variant: the variant to step.
+        variant: the variant to step, or the ranges from which each episode draws one. The tiers of ranges
+            name the policies of the unchanged robot.
         tier: the tier, which names the policy and is part of the dataset's id.
         episodes: number of episodes.
         seed: base seed of all random numbers.
@@ -34,7 +35,7 @@ class Recipe:
         'imujoco/hopper-base-random-v0'
     """
 
-    variant: Variant
+    variant: Variant | Ranges
     tier: str = EXPERT
     episodes: int = 100
     seed: int = 0
@@ -54,22 +55,31 @@ class Recipe:
 
     @property
     def attributes(self) -> dict[str, Any]:
-        """Attributes of the file and of each episode."""
+        """Attributes of the file; those of a variant are of each episode too."""
+        if isinstance(self.variant, Ranges):
+            return file_format.ranges_attributes(self.variant, self.tier)
         return file_format.attributes(self.variant, self.tier)
 
+    def episode_attributes(self, seed: int) -> dict[str, Any]:
+        """Return the attributes of the episode with a seed: its variant, and the dataset as ``source``."""
+        variant = self.variant.draw(seed) if isinstance(self.variant, Ranges) else self.variant
+        return file_format.attributes(variant, self.tier) | {"source": self.dataset_id}
+
     @property
-    def episode_attributes(self) -> dict[str, Any]:
-        """Attributes of each episode: those of the file, and the dataset as its ``source``."""
-        return self.attributes | {"source": self.dataset_id}
+    def nominal(self) -> Variant:
+        """The variant; for ranges the unchanged robot, whose policies act and whose model the file holds."""
+        return self.variant.base if isinstance(self.variant, Ranges) else self.variant
 
     def parts(self) -> list[TierPart]:
         """Return the parts of the dataset, each of one policy, in the order of the episodes."""
-        return parts(self.variant, self.tier, self.episodes, path=self.policy, stochastic=self.stochastic)
+        return parts(self.nominal, self.tier, self.episodes, path=self.policy, stochastic=self.stochastic)
 
     def stated(self) -> dict[str, Any]:
         """Return the metadata that distinguish a dataset of this recipe from others with the same id."""
         policies = [part.policy for part in self.parts()]
+        drawn = self.attributes if isinstance(self.variant, Ranges) else {}
         return {
+            **{key: drawn[key] for key in file_format.RANGES if key in drawn},
             "total_episodes": self.episodes,
             "seed": self.seed,
             "policy_sha256": ",".join(policy.sha256 for policy in policies),
@@ -85,12 +95,15 @@ def algorithms(policies: Sequence[Policy]) -> str:
 def description(recipe: Recipe, made_by: Sequence[TierPart]) -> str:
     """Return the description of a dataset for its metadata, in one or two sentences."""
     variant, policies = recipe.variant, [part.policy for part in made_by]
-    change = (
-        "unchanged"
-        if not variant.body
-        else f"with the {variant.category} of {', '.join(variant.mjcf_names)} "
-        f"changed by {variant.percent:+d} %"
-    )
+    if isinstance(variant, Ranges):
+        drawn = (f"{name} ({low:+g} to {high:+g} %)" for name, (low, high) in variant.ranges.items())
+        change = f"with parameters drawn for each episode ({variant.distribution}): {', '.join(drawn)}"
+    else:
+        change = " and ".join(
+            f"with the {one.category} of {', '.join(one.mjcf_names)} changed by {one.percent:+g} %"
+            for one in variant.changes
+        )
+        change = change or "unchanged"
     return (
         f"iMuJoCo, rebuilt: the robot {variant.robot} of Gymnasium's v5 environments, {change}. "
         f"{recipe.episodes} episodes of the tier {recipe.tier}, by {len(policies)} "

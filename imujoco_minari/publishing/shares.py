@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -74,7 +75,10 @@ def _divide(made_by: Sequence[TierPart], data: Path, jobs: int) -> Iterator[_Sha
 def _record_share(recipe: Recipe, share: _Share, on_episode: OnEpisode = lambda: None) -> None:
     """Record a share, after removing what a lost worker left in its folder."""
     shutil.rmtree(share.folder, ignore_errors=True)
-    attributes = {**recipe.episode_attributes, **share.part.attributes}
+
+    def attributes(seed: int) -> dict[str, Any]:
+        return recipe.episode_attributes(seed) | dict(share.part.attributes)
+
     collect(
         recipe.variant, share.part.policy, share.episodes, recipe.seed, share.folder, attributes, on_episode
     )

@@ -16,7 +16,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from imujoco_minari.variants import Variant
+from imujoco_minari.variants import Ranges, Variant
+from imujoco_minari.variants.context import percents
 
 MAIN_FILE = "main_data.hdf5"
 ARRAYS = ("observations", "actions", "rewards", "terminations", "truncations")
@@ -30,10 +31,16 @@ REPLAYABLE = "replayable"
 
 # The attributes that identify an episode. A collection carries those that all its episodes share.
 IDENTITY = ("variant", "robot", "category", "body", "percent", "tier")
+# The attributes of a dataset whose episodes draw their variants from ranges.
+RANGES = ("ranges", "distribution")
 
 
 def attributes(variant: Variant, tier: str) -> dict[str, Any]:
-    """Return the attributes that the file and every episode group of a dataset have."""
+    """Return the attributes that the file and every episode group of a dataset have.
+
+    A variant with several changes has ``changes`` too: a JSON object, parameter -> percent.
+    """
+    several = {"changes": json.dumps(percents(variant))} if len(variant.changes) > 1 else {}
     return {
         "variant": str(variant),
         "robot": variant.robot,
@@ -41,7 +48,33 @@ def attributes(variant: Variant, tier: str) -> dict[str, Any]:
         "body": variant.body,
         "percent": variant.percent,
         "tier": tier,
+        **several,
     }
+
+
+def ranges_attributes(ranges: Ranges, tier: str) -> dict[str, Any]:
+    """Return the attributes of the file of a dataset whose episodes draw their variants from ranges.
+
+    ``ranges`` is a JSON object, parameter -> lowest and highest percent.
+    """
+    return {
+        "robot": ranges.robot,
+        "tier": tier,
+        "ranges": json.dumps(ranges.ranges),
+        "distribution": ranges.distribution,
+    }
+
+
+def stated_ranges(attributes: Mapping[str, Any]) -> Ranges | None:
+    """Return the ranges that the attributes or the metadata of a dataset state; None if it has none.
+
+    Raises:
+        ImujocoError, ValueError, TypeError: if they are not valid.
+    """
+    if "ranges" not in attributes:
+        return None
+    ranges = json.loads(attributes["ranges"])
+    return Ranges(str(attributes.get("robot")), ranges, str(attributes.get("distribution")))
 
 
 def array_sha256(array: Any) -> str:

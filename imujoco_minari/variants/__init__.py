@@ -15,6 +15,7 @@ from imujoco_minari.variants.ids import (
     parse_dataset_id,
 )
 from imujoco_minari.variants.pages import CATEGORIES, Listing, RobotSpecification, parse_specification
+from imujoco_minari.variants.ranges import DISTRIBUTIONS, Ranges
 from imujoco_minari.variants.robots import (
     ROBOTS,
     adopt_page,
@@ -29,12 +30,14 @@ from imujoco_minari.variants.splits import HeldOut, held_out, held_out_names
 __all__ = [
     "BASE",
     "CATEGORIES",
+    "DISTRIBUTIONS",
     "EXPERT",
     "MAX_PERCENT",
     "NAMESPACE",
     "ROBOTS",
     "HeldOut",
     "Listing",
+    "Ranges",
     "RobotSpecification",
     "Variant",
     "adopt_page",

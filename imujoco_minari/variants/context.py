@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imujoco_minari.errors import VariantError, clipped, suggestion
-from imujoco_minari.variants.ids import BASE, Variant
+from imujoco_minari.variants.ids import Variant
 from imujoco_minari.variants.robots import specification
 
 
@@ -42,7 +42,7 @@ def changed_parameters(variants: Iterable[Variant]) -> tuple[str, ...]:
 
 def percents(variant: Variant) -> dict[str, float]:
     """Return parameter -> percent for what a variant changes; empty for the base robot."""
-    return {} if variant.category == BASE else {f"{variant.category}/{variant.body}": variant.percent}
+    return {f"{change.category}/{change.body}": change.percent for change in variant.changes}
 
 
 def context(variant: Variant, names: Sequence[str]) -> NDArray[np.float64]:

@@ -22,8 +22,10 @@ EXPERT = "expert"
 MAX_PERCENT = 10_000
 
 _ID = re.compile(
-    r"(?P<robot>[a-z0-9]+)-(?P<category>[a-z]+?)(?P<sign>inc|dec)_(?P<percent>[0-9]+)_(?P<body>[a-z0-9]+)"
+    r"(?P<robot>[a-z0-9]+)-(?P<category>[a-z]+?)(?P<sign>inc|dec)_(?P<percent>[0-9]+(?:p[0-9]+)?)_(?P<body>[a-z0-9]+)"
 )
+# One change of an id, as in massdec_25_leggeom or massinc_37p5_leggeom.
+_CHANGE = re.compile(r"[a-z]+?(?:inc|dec)_[0-9]+(?:p[0-9]+)?_[a-z0-9]+", re.ASCII)
 _DATASET_ID = re.compile(r"(?:(?P<namespace>[-_\w/]+)/)?(?P<name>[-_\w]+)-v(?P<version>[0-9]{1,6})")
 _TIER = re.compile(r"[a-z][a-z0-9_]*(?:-[a-z][a-z0-9_]*)*")
 
@@ -35,7 +37,7 @@ class Variant:
     Attributes:
         robot: a robot that has a page, as in ``hopper``.
         category: ``mass``, ``joint``, ``length`` or ``friction``; ``base`` for the base robot.
-        percent: signed change in percent of the base value; 0 for the base robot.
+        percent: signed change in percent of the base value, with at most two decimals; 0 for the base robot.
         body: the MJCF name without underscores, ``feet`` for friction; empty for the base robot.
 
     Raises:
@@ -47,7 +49,7 @@ class Variant:
 
     robot: str
     category: str
-    percent: int
+    percent: float
     body: str
 
     def __post_init__(self) -> None:
@@ -62,8 +64,9 @@ class Variant:
                 f"{self.robot} has no body {self.body!r} for {self.category}"
                 f"{suggestion(self.body, change.bodies)}; valid: {', '.join(change.bodies)}"
             )
-        if isinstance(self.percent, bool) or not isinstance(self.percent, int):
-            raise VariantError(f"percent must be a whole number, not {self.percent!r}")
+        check_percent(self.percent)
+        if isinstance(self.percent, float) and self.percent.is_integer():
+            object.__setattr__(self, "percent", int(self.percent))
         if self.percent <= -100:
             raise VariantError(
                 f"percent {self.percent} leaves nothing of the {self.category}; valid: above -100"
@@ -91,6 +94,11 @@ class Variant:
         robot, _, rest = name.partition("-")
         if rest == BASE:
             return cls(robot, BASE, 0, "")
+        words = rest.split("-")
+        if len(words) > 1 and all(map(_CHANGE.fullmatch, words)):
+            from imujoco_minari.variants.compound import compound
+
+            return compound(cls.parse(f"{robot}-{word}") for word in words)
         match = _ID.fullmatch(name)
         if match is None:
             raise VariantError(
@@ -98,16 +106,21 @@ class Variant:
                 "valid: <robot>-<category><inc|dec>_<percent>_<body>, "
                 "as in hopper-massdec_25_leggeom, or <robot>-base"
             )
-        digits = match["percent"]
+        digits, _, decimals = match["percent"].partition("p")
         if len(digits) > 1 and digits[0] == "0":
             raise VariantError(f"{clipped(text)!r}: write the percent without leading zeros")
+        if decimals[-1:] == "0" or len(decimals) > 2:
+            raise VariantError(
+                f"{clipped(text)!r}: write the percent with at most two decimals, without zeros at the end"
+            )
         if len(digits) > len(str(MAX_PERCENT)):
             raise VariantError(f"{clipped(text)!r}: the percent is too large; valid: at most {MAX_PERCENT}")
-        if digits == "0" and match["sign"] == "dec":
+        if digits == "0" and not decimals and match["sign"] == "dec":
             raise VariantError(f"{clipped(text)!r}: write a change of 0 % as inc_0")
-        percent = int(digits) if match["sign"] == "inc" else -int(digits)
+        percent = float(f"{digits}.{decimals}") if decimals else int(digits)
         try:
-            return cls(match["robot"], match["category"], percent, match["body"])
+            sign = 1 if match["sign"] == "inc" else -1
+            return cls(match["robot"], match["category"], sign * percent, match["body"])
         except VariantError as error:
             raise VariantError(f"{clipped(text)!r}: {error}") from None
 
@@ -121,7 +134,12 @@ class Variant:
         if self.category == BASE:
             return f"{self.robot}-{BASE}"
         sign = "inc" if self.percent >= 0 else "dec"
-        return f"{self.robot}-{self.category}{sign}_{abs(self.percent)}_{self.body}"
+        return f"{self.robot}-{self.category}{sign}_{str(abs(self.percent)).replace('.', 'p')}_{self.body}"
+
+    @property
+    def changes(self) -> tuple[Variant, ...]:
+        """The changes of single parameters, in the order of contexts; none for the base robot."""
+        return () if self.category == BASE else (self,)
 
     @property
     def factor(self) -> float:
@@ -210,9 +228,32 @@ def parse_dataset_id(dataset_id: str) -> tuple[Variant, str]:
             f"{clipped(dataset_id)!r} is not the dataset id of a variant; "
             f"valid: {NAMESPACE}/<variant>[-<tier>]-v0, as in {NAMESPACE}/hopper-massdec_25_leggeom-v0"
         )
-    words = match["name"].split("-")
-    variant = Variant.parse("-".join(words[:2]))
-    return variant, "-".join(words[2:]) or EXPERT
+    variant, tier = split_name(match["name"])
+    return Variant.parse(variant), tier or EXPERT
+
+
+def split_name(name: str) -> tuple[str, str]:
+    """Return the variant id and the tier in the name of a dataset id; the tier is empty if there is none."""
+    words = name.split("-")
+    end = 2
+    while end < len(words) and _CHANGE.fullmatch(words[end]):
+        end += 1
+    return "-".join(words[:end]), "-".join(words[end:])
+
+
+def check_percent(percent: float) -> None:
+    """Check that a percent is a number with at most two decimals.
+
+    Raises:
+        VariantError: if it is not.
+    """
+    if (
+        isinstance(percent, bool)
+        or not isinstance(percent, int | float)
+        or not abs(percent) < float("inf")
+        or round(percent, 2) != percent
+    ):
+        raise VariantError(f"percent must be a number with at most two decimals, not {percent!r}")
 
 
 def _listing(robot: str, category: str) -> Listing:

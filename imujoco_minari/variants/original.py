@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 
 from imujoco_minari.errors import VariantError
 from imujoco_minari.variants import BASE, CATEGORIES, MAX_PERCENT, NAMESPACE, ROBOTS, Variant, specification
+from imujoco_minari.variants.ids import split_name
 
 ORIGINAL = "imujoco-original"
 RECOLLECTED = "recollected"
@@ -87,7 +88,7 @@ def names_variant(dataset_id: str) -> bool:
     namespace, _, name = dataset_id.partition("/")
     kind = {ORIGINAL: OriginalVariant, NAMESPACE: Variant}.get(namespace)
     try:
-        return kind is not None and bool(kind.parse("-".join(name.rpartition("-v")[0].split("-")[:2])))
+        return kind is not None and bool(kind.parse(split_name(name.rpartition("-v")[0])[0]))
     except VariantError:
         return False
 

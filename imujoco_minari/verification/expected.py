@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeGuard
 
 import numpy as np
@@ -21,7 +21,7 @@ from imujoco_minari.policies.rollouts import episode_seed
 from imujoco_minari.policies.tiers import REPLAY, TierPart, parts
 from imujoco_minari.storage import file_format
 from imujoco_minari.storage.metadata import PACKAGES, code_address, requirements
-from imujoco_minari.variants import Variant, specification
+from imujoco_minari.variants import NAMESPACE, Variant, specification
 from imujoco_minari.variants.original import OriginalVariant, names_variant
 from imujoco_minari.verification.findings import Finding, plain, shown
 
@@ -64,6 +64,11 @@ def is_recorded(metadata: Mapping[str, Any]) -> bool:
     return metadata.get("tier") == REPLAY and "policy_sha256" not in metadata
 
 
+def is_randomised(metadata: Mapping[str, Any]) -> bool:
+    """Return whether a dataset's metadata says that its episodes draw their variants from ranges."""
+    return "ranges" in metadata and not is_collection(metadata)
+
+
 def seed(metadata: Mapping[str, Any], number: int) -> int | None:
     """Return the seed of an episode of a dataset; None where the metadata do not decide it."""
     base = metadata.get("seed")
@@ -86,6 +91,8 @@ def sources(metadata: Mapping[str, Any], variant: Variant, tier: str) -> list[st
     Raises:
         VariantError: when ``tier`` is no tier name.
     """
+    if is_randomised(metadata):
+        return [str(metadata.get("dataset_id"))]
     combined = metadata["combined_datasets"] if is_collection(metadata) else []
     return list(dict.fromkeys([variant.dataset_id(tier), *(combined if isinstance(combined, list) else ())]))
 
@@ -119,6 +126,9 @@ def compare(metadata: Mapping[str, Any], content: Content) -> tuple[list[Finding
     found: list[Finding] = []
     if not is_collection(metadata):
         variant, tier = content.identities[0]
+        if is_randomised(metadata):
+            # The policies are those of the unchanged robot.
+            variant = variant.base
         imported = content.unreplayed > 0
         found += _origin(metadata, imported)
         expected |= _shape_of_references(metadata)
@@ -129,10 +139,12 @@ def compare(metadata: Mapping[str, Any], content: Content) -> tuple[list[Finding
             found += _runs(content.runs, known)
         elif "policy_sha256" in metadata:
             exceptions.append("the policy that made it is not known here")
-        references = _references(variant)
+        references = {} if is_randomised(metadata) else _references(variant)
         stated = {key: metadata.get(key) for key in references}
         if references and str(expert_record(variant).get("weights_sha256")) in _policies(metadata):
             expected |= references
+        elif is_randomised(metadata):
+            expected |= dict.fromkeys(score for score, _, _ in _REFERENCES)
         elif not references or not _equal(stated, references):
             exceptions.append("its reference scores are not known here")
     found += [
@@ -163,6 +175,8 @@ def _exceptions(metadata: Mapping[str, Any], content: Content) -> Iterator[str]:
 
 def _identity(metadata: Mapping[str, Any], content: Content) -> dict[str, Any]:
     """Return what the variants and tiers of the episodes decide; None where they differ."""
+    if is_randomised(metadata):
+        return _randomised_identity(metadata, content)
     every = [file_format.attributes(variant, tier) for variant, tier in content.identities]
     expected: dict[str, Any] = {
         key: every[0][key] if all(one[key] == every[0][key] for one in every) else None
@@ -172,6 +186,26 @@ def _identity(metadata: Mapping[str, Any], content: Content) -> dict[str, Any]:
         ids = {variant.dataset_id(tier) for variant, tier in content.identities}
         expected["dataset_id"] = ids.pop() if len(ids) == 1 else "a variant's: its episodes are of several"
     return expected
+
+
+def _randomised_identity(metadata: Mapping[str, Any], content: Content) -> dict[str, Any]:
+    """Return what the ranges and the tier of a dataset decide."""
+    tier = content.identities[0][1]
+    try:
+        ranges = file_format.stated_ranges(metadata)
+    except (ImujocoError, ValueError, TypeError, AttributeError):
+        ranges = None
+    if ranges is None:
+        return {"ranges": "ranges of parameters of a robot, and their distribution"}
+    attributes = file_format.ranges_attributes(ranges, tier)
+    nothing: dict[str, Any] = dict.fromkeys(file_format.IDENTITY)
+    stated = str(metadata.get("dataset_id"))
+    name = stated.removeprefix(f"{NAMESPACE}/{ranges.robot}-").removesuffix("-v0").removesuffix(f"-{tier}")
+    try:
+        dataset_id = replace(ranges, name=name).dataset_id(tier)
+    except ImujocoError:
+        dataset_id = ranges.dataset_id(tier)
+    return nothing | attributes | {"dataset_id": dataset_id}
 
 
 def _versions(metadata: Mapping[str, Any], content: Content) -> dict[str, Any]:

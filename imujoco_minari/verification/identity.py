@@ -10,10 +10,17 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from gymnasium.envs.registration import EnvSpec
 from minari import supported_dataset_versions
 
-from imujoco_minari.envs.registration import current_spec, dataset_spec, is_entry_point, stored_models
-from imujoco_minari.errors import ImujocoError, VariantError
+from imujoco_minari.envs.registration import (
+    current_spec,
+    dataset_spec,
+    is_entry_point,
+    randomised_spec,
+    stored_models,
+)
+from imujoco_minari.errors import DrawingError, ImujocoError, VariantError
 from imujoco_minari.storage import file_format
 from imujoco_minari.variants import Variant
 from imujoco_minari.variants.original import CATALOGUE, variant_of
@@ -153,11 +160,36 @@ def episode(
         )
     if expected.is_collection(metadata):
         return
+    if expected.is_randomised(metadata):
+        yield from _drawn(name, attrs, variant, root, metadata)
+        return
     for key in ("variant", "tier", CATALOGUE, file_format.REPLAYABLE):
         if not same(attrs.get(key), plain(root.get(key))):
             yield Finding(
                 f"{name}@{key}", f"is {shown(attrs.get(key))}, but the dataset's is {shown(root.get(key))}"
             )
+
+
+def _drawn(
+    name: str,
+    attrs: Mapping[str, Any],
+    variant: Variant,
+    root: Mapping[str, Any],
+    metadata: Mapping[str, Any],
+) -> Iterator[Finding]:
+    """Report an episode whose variant is not the one that its seed draws from the dataset's ranges."""
+    try:
+        ranges = file_format.stated_ranges(metadata)
+        drawn = None if ranges is None else ranges.draw(int(attrs["seed"]))
+    except (ImujocoError, ValueError, TypeError, AttributeError, KeyError) as error:
+        yield Finding("metadata.json/ranges", f"draw no variant for {name}: {shown(str(error))}")
+        return
+    if drawn != variant:
+        yield Finding(f"{name}@variant", f"is {shown(str(variant))}, but its seed draws {drawn}")
+    if not same(attrs.get("tier"), plain(root.get("tier"))):
+        yield Finding(
+            f"{name}@tier", f"is {shown(attrs.get('tier'))}, but the dataset's is {shown(root.get('tier'))}"
+        )
 
 
 def whole(root: Mapping[str, Any], metadata: Mapping[str, Any], content: Content) -> Iterator[Finding]:
@@ -187,8 +219,8 @@ def _environment(
         models = {str(variants[0]): str(root["mjcf"])}
     try:
         name = metadata["dataset_id"].rpartition("/")[2].rpartition("-v")[0]
-        wanted = json.loads(dataset_spec(name, variants, models).to_json())
-    except VariantError as error:
+        wanted = json.loads(_spec(name, variants, models, metadata).to_json())
+    except (VariantError, DrawingError) as error:
         yield Finding("metadata.json/env_spec", f"is not the variant's: {error}")
         return
     for key in sorted(wanted.keys() | spec.keys()):
@@ -198,20 +230,34 @@ def _environment(
             )
 
 
+def _spec(
+    name: str, variants: Sequence[Variant], models: Mapping[str, str], metadata: Mapping[str, Any]
+) -> EnvSpec:
+    ranges = file_format.stated_ranges(metadata) if expected.is_randomised(metadata) else None
+    return dataset_spec(name, variants, models) if ranges is None else randomised_spec(ranges)
+
+
 def _root(root: Mapping[str, Any], metadata: Mapping[str, Any]) -> Iterator[Finding]:
     # MuJoCo takes a tenth of a second to import, and the child processes that check parts never come here.
     from imujoco_minari.envs.mjcf import mjcf_sha256, model_text
 
     try:
-        variant = variant_of(root)
+        ranges = file_format.stated_ranges(metadata) if expected.is_randomised(metadata) else None
+        variant = variant_of(root) if ranges is None else ranges.base
         text, digest = str(root["mjcf"]), plain(root["mjcf_sha256"])
     except (ImujocoError, KeyError) as error:
         yield Finding(file_format.MAIN_FILE, f"lacks a true attribute of its variant: {str(error)[:120]}")
         return
-    for key, value in file_format.attributes(variant, str(root.get("tier"))).items():
+    tier = str(root.get("tier"))
+    wanted = (
+        file_format.attributes(variant, tier)
+        if ranges is None
+        else file_format.ranges_attributes(ranges, tier)
+    )
+    for key, value in wanted.items():
         if not same(root.get(key), value):
             yield Finding(f"@{key}", f"is {shown(root.get(key))}, not {value!r}")
-    for key in (*file_format.attributes(variant, ""), CATALOGUE, file_format.REPLAYABLE):
+    for key in (*wanted, CATALOGUE, file_format.REPLAYABLE):
         if not same(metadata.get(key), plain(root.get(key))):
             yield Finding(
                 f"metadata.json/{key}",

@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from imujoco_minari.envs import mjcf
 from imujoco_minari.envs.mjcf import canonical_mjcf, healthy_z_range
 from imujoco_minari.variants import CATEGORIES, ROBOTS, Variant, bases, catalogue, specification
 
@@ -310,9 +311,9 @@ def test_a_change_of_nothing_is_the_stock_environment_step_for_step(robot: str, 
 def test_the_text_is_stable_and_loads_without_a_warning(
     variant: Variant, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    canonical_mjcf.cache_clear()
     first = canonical_mjcf(variant)
-    canonical_mjcf.cache_clear()
+    for cached in (canonical_mjcf, mjcf._edited, mjcf._bake_once):
+        cached.cache_clear()
     assert canonical_mjcf(variant) == first
     model = load(variant)
     data = mujoco.MjData(model)

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 
+import mujoco
 import numpy as np
 import pytest
 from gymnasium.envs.mujoco.half_cheetah_v5 import HalfCheetahEnv
@@ -15,7 +16,7 @@ from gymnasium.envs.registration import load_env_creator
 
 from imujoco_minari.envs import environment_spec
 from imujoco_minari.envs.mjcf import canonical_mjcf, healthy_z_range
-from imujoco_minari.envs.robots import HopperVariantEnv, VariantEnv
+from imujoco_minari.envs.robots import HopperVariantEnv
 from imujoco_minari.variants import Variant
 
 STOCK = {"hopper": HopperEnv, "halfcheetah": HalfCheetahEnv, "walker2d": Walker2dEnv}
@@ -35,8 +36,9 @@ def stock_environment(name, **kwargs):
     variant = Variant.parse(name)
 
     class Stock(STOCK[variant.robot]):
-        mjcf = canonical_mjcf(variant)
-        _initialize_simulation = VariantEnv._initialize_simulation
+        def _initialize_simulation(self):
+            model = mujoco.MjModel.from_xml_string(canonical_mjcf(variant))
+            return model, mujoco.MjData(model)
 
     z_range = healthy_z_range(variant)
     return Stock(**({} if z_range is None else {"healthy_z_range": z_range}) | kwargs)

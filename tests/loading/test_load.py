@@ -386,7 +386,7 @@ def test_a_dataset_that_was_deleted_is_named(small_datasets: list[str]) -> None:
             "actions must be vectors of numbers",
         ),
         (lambda f: _store(f, "episode_0/rewards", h5py.Empty("f8")), "episode 0: rewards are not an array"),
-        (lambda f: f.attrs.__setitem__("percent", "many"), "a percent that is not a whole number"),
+        (lambda f: f.attrs.__setitem__("percent", "many"), "a percent that is not a number"),
         (lambda f: f.attrs.__setitem__("body", [1, 2]), "attributes that are not text"),
     ],
 )

@@ -139,8 +139,8 @@ def test_warns_of_what_lies_outside_its_space_as_the_stock_collector_does(tmp_pa
 
 def test_episodes_do_not_depend_on_what_was_recorded_before(tmp_path):
     variant, policy = Variant.parse("hopper-base"), RandomPolicy(3)
-    collect(variant, policy, range(4), 7, tmp_path / "all", {"tier": "random"})
-    collect(variant, policy, [2], 7, tmp_path / "one", {"tier": "random"})
+    collect(variant, policy, range(4), 7, tmp_path / "all", lambda seed: {"tier": "random"})
+    collect(variant, policy, [2], 7, tmp_path / "one", lambda seed: {"tier": "random"})
     attributes, arrays = stored(tmp_path / "one")["episode_0"]
     same_attributes, same_arrays = stored(tmp_path / "all")["episode_2"]
     assert attributes | {"id": 2} == same_attributes

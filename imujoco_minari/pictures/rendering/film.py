@@ -106,8 +106,11 @@ def change(variant: Variant) -> str:
     """Return what a variant changes, in words."""
     if variant.category == BASE:
         return "the unchanged robot"
-    what = {"joint": "range of"}.get(variant.category, f"{variant.category} of")
-    return f"{what} {', '.join(variant.mjcf_names) or variant.body} {variant.percent:+d} %"
+    return ", ".join(
+        f"{'range' if change.category == 'joint' else change.category} of "
+        f"{', '.join(change.mjcf_names) or change.body} {change.percent:+g} %"
+        for change in variant.changes
+    )
 
 
 def caption_height(height: int) -> int:

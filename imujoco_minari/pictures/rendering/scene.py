@@ -11,7 +11,7 @@ import mujoco
 from imujoco_minari.envs.mjcf import model_text
 from imujoco_minari.errors import RenderingError
 from imujoco_minari.pictures.rendering.framing import FIELD_OF_VIEW
-from imujoco_minari.variants import BASE, Variant
+from imujoco_minari.variants import Variant
 
 Colour = tuple[float, float, float]
 
@@ -52,12 +52,13 @@ def scene_model(
         if geom.name != "floor":
             geom.material = ""
             geom.rgba = [*(FAR if "left" in geom.name else NEAR), 1.0]
-    if variant.category == "joint":
-        for name in variant.mjcf_names:
-            _mark_joint(spec.joint(name), COLOURS["joint"])
-    elif variant.category != BASE:
-        for geom in filter(None, map(spec.geom, variant.mjcf_names)):
-            geom.rgba = [*COLOURS[variant.category], 1.0]
+    for change in variant.changes:
+        if change.category == "joint":
+            for name in change.mjcf_names:
+                _mark_joint(spec.joint(name), COLOURS["joint"])
+        else:
+            for geom in filter(None, map(spec.geom, change.mjcf_names)):
+                geom.rgba = [*COLOURS[change.category], 1.0]
     return spec.compile()
 
 

@@ -1,0 +1,133 @@
+"""Ranges of parameters, from which a seed draws a variant."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from imujoco_minari.errors import DrawingError, VariantError, clipped, suggestion
+from imujoco_minari.variants.compound import compound
+from imujoco_minari.variants.context import check_parameters
+from imujoco_minari.variants.ids import BASE, EXPERT, NAMESPACE, Variant
+from imujoco_minari.variants.pages import CATEGORIES
+from imujoco_minari.variants.robots import adopt_page, carried_page
+
+# The name of an environment or a dataset that draws from ranges.
+RANDOMISED = "randomised"
+UNIFORM, LOG_UNIFORM = "uniform", "log-uniform"
+DISTRIBUTIONS = (UNIFORM, LOG_UNIFORM)
+_NAME = re.compile(r"[a-z][a-z0-9]{0,39}", re.ASCII)
+_TAKEN = (BASE, "all", *CATEGORIES)
+_EXAMPLE = "mass/torsogeom"
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """A robot with a range of percents for each of some parameters.
+
+    Attributes:
+        robot: the robot, as in ``hopper``.
+        ranges: parameter -> lowest and highest percent, in the order of contexts. An argument may be in any
+            order, and may hold lists.
+        distribution: ``uniform`` draws the percent uniformly; ``log-uniform`` draws the logarithm of the
+            factor 1 + percent / 100 uniformly.
+        name: of a dataset that is collected from the ranges, in its id.
+
+    Raises:
+        VariantError: if there is no such robot or parameter, or a parameter cannot have such a percent.
+        DrawingError: if there is no range, a range is not two numbers in order, there is no such
+            distribution, or the name is not a word or has another meaning in ids.
+
+    Example:
+        >>> ranges = Ranges("hopper", {"mass/torsogeom": (-50, 100), "friction/feet": (-50, 50)})
+        >>> str(ranges.draw(seed=0))
+        'hopper-massinc_91p44_torsogeom-frictiondec_18p37_feet'
+    """
+
+    robot: str
+    ranges: Mapping[str, Sequence[float]]
+    distribution: str = UNIFORM
+    name: str = RANDOMISED
+
+    def __post_init__(self) -> None:
+        names = check_parameters(self.robot, self.ranges)
+        if not names:
+            raise DrawingError(
+                f'no ranges are given; valid: parameter -> percents, as in {{"{_EXAMPLE}": (-50, 100)}}'
+            )
+        for name in names:
+            _check_range(self.robot, name, self.ranges[name])
+        if self.distribution not in DISTRIBUTIONS:
+            near = suggestion(str(self.distribution)[:80], DISTRIBUTIONS)
+            raise DrawingError(
+                f"unknown distribution {self.distribution!r}{near}; valid: {', '.join(DISTRIBUTIONS)}"
+            )
+        if not isinstance(self.name, str) or not _NAME.fullmatch(self.name) or self.name in _TAKEN:
+            raise DrawingError(
+                f"the name of the ranges is {clipped(self.name)!r}; valid: a lower-case word, but not "
+                f"{', '.join(_TAKEN)}"
+            )
+        ordered = {name: tuple(self.ranges[name]) for name in names}
+        object.__setattr__(self, "ranges", ordered)
+
+    def __reduce__(self) -> tuple[Callable[..., Ranges], tuple[Any, ...]]:
+        # As with a variant, the page of a user's robot travels along.
+        page = carried_page(self.robot)
+        return _with_page, (page and dict(page), self.robot, self.ranges, self.distribution, self.name)
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """The parameters that are drawn, in the order of contexts."""
+        return tuple(self.ranges)
+
+    @property
+    def base(self) -> Variant:
+        """The unchanged robot."""
+        return Variant(self.robot, BASE, 0, "")
+
+    def dataset_id(self, tier: str = EXPERT) -> str:
+        """Return the Minari id of data of a tier, as in ``imujoco/hopper-randomised-random-v0``."""
+        return f"{NAMESPACE}/{self.robot}-{self.name}{'' if tier == EXPERT else f'-{tier}'}-v0"
+
+    def draw(self, seed: int) -> Variant:
+        """Return the variant that a seed draws, with percents of two decimals."""
+        # Not the generator of the episode: its first numbers decide the initial state.
+        generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
+        shares = generator.random(len(self.ranges)).tolist()
+        return compound(
+            _single(self.robot, name, self._percent(bounds[0], bounds[1], share))
+            for (name, bounds), share in zip(self.ranges.items(), shares, strict=True)
+        )
+
+    def _percent(self, low: float, high: float, share: float) -> float:
+        if self.distribution == LOG_UNIFORM:
+            percent = 100 * ((1 + low / 100) ** (1 - share) * (1 + high / 100) ** share - 1)
+        else:
+            percent = low + share * (high - low)
+        return float(min(max(round(percent, 2), low), high))
+
+
+def _with_page(page: Mapping[str, str] | None, robot: str, *values: Any) -> Ranges:
+    if page is not None:
+        adopt_page(robot, page)
+    return Ranges(robot, *values)
+
+
+def _check_range(robot: str, name: str, bounds: Sequence[float]) -> None:
+    numbers = isinstance(bounds, Sequence) and [isinstance(bound, int | float) for bound in bounds]
+    if numbers != [True, True] or not bounds[0] <= bounds[1]:
+        raise DrawingError(f"the range of {name} is {bounds!r}; valid: the lowest and the highest percent")
+    for bound in bounds:
+        try:
+            _single(robot, name, bound)
+        except VariantError as error:
+            raise VariantError(f"the range of {name}: {error}") from None
+
+
+def _single(robot: str, name: str, percent: float) -> Variant:
+    category, _, body = name.partition("/")
+    return Variant(robot, category, percent, body)
