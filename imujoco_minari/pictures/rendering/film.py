@@ -162,7 +162,10 @@ def captioned(picture: Image.Image, variant: Variant, title: str = "", state: st
         (above, str(variant), INK, title, FAINT),
         (below, change(variant), ink, state, INK),
     ):
-        width = _write_line(draw, (margin, height), left_text, left_ink, size, room)
+        # The variants that change much have long names; the text on the right keeps up to half of the room.
+        wanted = draw.textlength(right_text, font=ImageFont.load_default(size * 0.85)) + size
+        left_room = room - min(wanted, room / 2) if right_text else room
+        width = _write_line(draw, (margin, height), left_text, left_ink, size, left_room)
         _write_line(draw, (right, height), right_text, right_ink, size * 0.85, room - width, right=True)
     return whole
 
