@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imujoco_minari.envs.categories import BY_NAME, Edit
+from imujoco_minari.envs.categories.capsules import compile_shape
 from imujoco_minari.envs.categories.interface import find
 from imujoco_minari.envs.untrusted_mjcf import check_mjcf
 from imujoco_minari.errors import ModelError
@@ -179,14 +180,14 @@ def apply_changes(spec: mujoco.MjSpec, variant: Variant) -> float:
     if variant.category == BASE:
         return 0.0
     category = BY_NAME[variant.category]
-    clearance = lowest_point(_compiled(spec)) if category.moves_limbs else 0.0
+    clearance = lowest_point(compile_shape(spec)) if category.moves_limbs else 0.0
     category.apply(Edit(spec, variant.mjcf_names, variant.factor, specification(variant.robot)))
     return _stand(spec, clearance) if category.moves_limbs else 0.0
 
 
 def _stand(spec: mujoco.MjSpec, clearance: float) -> float:
     """Raise the root so that the lowest point of the rest pose has this height (m); return by how much."""
-    shift = clearance - lowest_point(_compiled(spec))
+    shift = clearance - lowest_point(compile_shape(spec))
     root = spec.bodies[1]
     root.pos = root.pos + [0.0, 0.0, shift]
     for joint in root.joints:
@@ -243,8 +244,3 @@ def bake(text: str) -> mujoco.MjSpec:
         body.ipos = compiled.ipos
         body.iquat = compiled.iquat
     return spec
-
-
-def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """Return the model of a copy of a spec. Compiling the spec itself would fix its inertias."""
-    return spec.copy().compile()
