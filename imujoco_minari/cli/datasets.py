@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -29,9 +29,10 @@ from imujoco_minari.cli.options import (
 )
 from imujoco_minari.cli.printing import counted, fail, out, print_json, print_table, printable, progress, say
 from imujoco_minari.cli.selection import Filters, select, select_datasets
-from imujoco_minari.errors import ImujocoError, NotFoundError, VariantError
+from imujoco_minari.errors import DatasetNotFoundError, ImujocoError, NotFoundError, VariantError
 from imujoco_minari.storage import minari_root
 from imujoco_minari.variants import EXPERT
+from imujoco_minari.variants.named_collections import NamedCollection
 
 if TYPE_CHECKING:
     from imujoco_minari.cli.estimates import Planned
@@ -140,6 +141,9 @@ def combine(
     category: Category = None,
     with_base: WithBase = False,
     tier: Tier = EXPERT,
+    partial: Annotated[
+        bool, typer.Option("--partial", help="Leave out variants that are not published. Needs --id.")
+    ] = False,
     link: Annotated[
         bool, typer.Option("--link", help="Refer to the episodes instead of copying them.")
     ] = False,
@@ -148,33 +152,61 @@ def combine(
 ) -> None:
     """Combine datasets of one robot into a collection.
 
-    With --robot, it combines the datasets of the robot's variants that are in the Minari root. With
-    --with-base, name the collection with --id: the default id stands for the variants alone.
+    With --robot, it combines the datasets of all variants of the robot, and stops if one is not published.
+    The default id, as imujoco/hopper-all-v0, stands for these variants: name other sets with --id. A
+    collection whose sources have not changed is left alone.
 
     Examples: `imujoco combine --robot hopper`,
     `imujoco combine --robot hopper --category mass --tier random`,
+    `imujoco combine --robot hopper --partial --id imujoco/hopper-some-v0`,
     `imujoco combine imujoco/hopper-base-v0 imujoco/hopper-massdec_25_leggeom-v0 --id imujoco/hopper-mine-v0`
     """
-    from imujoco_minari.publishing.combiner import collection_id, combine_datasets
+    from imujoco_minari.publishing.combiner import combine_datasets
 
-    sources = select_datasets(
-        ids, Filters(robot, category, with_base=with_base), [tier] if tier != EXPERT else None
-    )
+    filters = Filters(robot, category, with_base=with_base)
+    if ids and partial:
+        raise VariantError("--partial leaves out variants that --robot chooses: give no ids with it")
+    sources = select_datasets(ids, filters, [tier] if tier != EXPERT else None, published=partial)
     if new_id is None:
-        if ids or robot is None or with_base:
+        if ids or robot is None or with_base or partial:
             raise VariantError("name the collection with --id, as in imujoco/hopper-mine-v0")
-        new_id = collection_id(robot, category, tier)
+        new_id = NamedCollection(robot, category, tier).dataset_id
+    if filters:
+        _check_published(sources, filters, tier)
+    created = force or not minari_root.exists(new_id)
     dataset = combine_datasets(sources, new_id, link=link, force=force)
     path = dataset.storage.data_path.parent
     if as_json:
-        summary = {"dataset_id": new_id, "path": path, "combined_datasets": sources, "linked": link}
-        print_json(summary | {"episodes": dataset.total_episodes, "steps": dataset.total_steps})
+        summary = {"dataset_id": new_id, "path": path, "created": created, "combined_datasets": sources}
+        counts = {"episodes": dataset.total_episodes, "steps": dataset.total_steps}
+        print_json(summary | {"linked": link} | counts)
+        return
+    if not created:
+        out.print(f"left alone {new_id}: it combines these {len(sources)} datasets already", f"  at {path}")
         return
     out.print(
         f"combined {counted(len(sources), 'dataset')} into {new_id}: "
         f"{counted(int(dataset.total_episodes), 'episode')}, {counted(int(dataset.total_steps), 'step')}"
         + (", linked" if link else ""),
         f"  at {path}",
+    )
+
+
+def _check_published(ids: Sequence[str], filters: Filters, tier: str) -> None:
+    """List the datasets that the Minari root does not hold.
+
+    Raises:
+        DatasetNotFoundError: when there are any.
+    """
+    missing = [dataset_id for dataset_id in ids if not minari_root.exists(dataset_id)]
+    if not missing:
+        return
+    for dataset_id in missing:
+        say(f"  {dataset_id}")
+    option = "" if tier == EXPERT else f" --tier {tier}"
+    raise DatasetNotFoundError(
+        f"{len(missing)} of {counted(len(ids), 'dataset')} are not in the Minari root: make them with "
+        f"`imujoco publish {filters}{option}`, or combine the others with --partial and an --id"
     )
 
 

@@ -32,7 +32,22 @@ class Filters:
     with_base: bool = False
 
     def __bool__(self) -> bool:
+        """Whether they choose variants. ``--with-base`` alone does not."""
         return bool(self.robot or self.category or self.everything)
+
+    @property
+    def given(self) -> bool:
+        """Whether any filter is given."""
+        return bool(self) or self.with_base
+
+    def check_no_names(self, names: Sequence[str] | None) -> None:
+        """Check that a command does not name what its filters choose.
+
+        Raises:
+            VariantError: when there are names and filters.
+        """
+        if names and self.given:
+            raise VariantError(f"give ids or {self}, not both")
 
     def __str__(self) -> str:
         words = ["--all"] if self.everything else []
@@ -69,8 +84,7 @@ def select(names: Sequence[str] | None, filters: Filters) -> list[Variant]:
     Raises:
         VariantError: when a name is no variant, or there are names and filters, or neither.
     """
-    if names and (filters or filters.with_base):
-        raise VariantError(f"give ids or {filters}, not both")
+    filters.check_no_names(names)
     if names:
         return list(dict.fromkeys(Variant.parse(name) for name in names))
     if not filters:
@@ -93,8 +107,9 @@ def select_datasets(
         VariantError: when there are ids and filters, or neither.
         DatasetNotFoundError: when nothing is left.
     """
-    if ids and (filters or filters.with_base or tiers):
-        raise VariantError("give dataset ids, or --robot, --category, --all and --tier, not both")
+    filters.check_no_names(ids)
+    if ids and tiers:
+        raise VariantError("give dataset ids or --tier, not both")
     if ids:
         return list(dict.fromkeys(ids))
     if not filters:

@@ -218,7 +218,7 @@ def policies(
         print_table(COLUMNS, [line.cells() for line in lines], numeric=COLUMNS[2:])
         out.print("", "median and min: return as a share of the base expert's")
         return
-    if filters or with_base:
+    if filters.given:
         experts = set(expert_variants())
         chosen = [variant for variant in chosen if variant in experts]
     else:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from imujoco_minari.arguments import check_one_robot
 from imujoco_minari.errors import ArgumentError, DatasetError, clipped
 from imujoco_minari.loading import selection
 from imujoco_minari.loading.episode_arrays import Arrays
@@ -74,7 +75,7 @@ def arrays(
         if not found:
             raise DatasetError("the datasets hold no episodes")
         kept = selection.matching(found, {} if where is None else where)
-        _check_one_robot(kept)
+        check_one_robot(((each.origin.robot, each.view.dataset_id) for each in kept), "arrays hold")
         share = selection.portion_of([episode.origin for episode in kept], portion, seed)
         result = _fill([kept[place] for place in share], files, dtype)
     if normalize is False:
@@ -98,16 +99,6 @@ def _floating(dtype: DTypeLike) -> np.dtype[Any]:
             f"dtype must be a floating-point type, as in 'float32', not {clipped(repr(dtype))}"
         )
     return found
-
-
-def _check_one_robot(kept: Sequence[EpisodeReference]) -> None:
-    """Raise unless all episodes are of one robot: robots with equal shapes still mean different things."""
-    robots: dict[str, str] = {}
-    for episode in kept:
-        robots.setdefault(episode.origin.robot or "unknown", episode.view.dataset_id)
-    if len(robots) > 1:
-        listed = ", ".join(f"{robot} ({dataset_id})" for robot, dataset_id in robots.items())
-        raise DatasetError(f"arrays hold one robot, but these datasets are of several: {listed}")
 
 
 def _fill(

@@ -7,7 +7,7 @@ attributes. Here HDF5 copies or links whole episodes, so every attribute is kept
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -21,12 +21,13 @@ from minari import MinariDataset
 from minari.dataset.minari_storage import MinariStorage
 
 from imujoco_minari.envs.registration import dataset_spec, stored_models
-from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError
+from imujoco_minari.errors import ArgumentError, DatasetError, DatasetExistsError, ImujocoError
 from imujoco_minari.publishing.sources import Source, check_sources, open_source
+from imujoco_minari.publishing.staleness import check_current
 from imujoco_minari.storage import copying, file_format, minari_root, transactions
 from imujoco_minari.storage.metadata import complete_metadata, provenance
 from imujoco_minari.storage.quiet_file import writing
-from imujoco_minari.variants import EXPERT, NAMESPACE
+from imujoco_minari.variants.named_collections import NamedCollection
 from imujoco_minari.variants.original import CATALOGUE, ORIGINAL, names_variant, variant_of
 from imujoco_minari.verification.child_process import survives
 
@@ -55,6 +56,8 @@ def combine_datasets(
 ) -> MinariDataset:
     """Combine datasets of one robot into a collection and return it.
 
+    A collection that exists already and holds what the sources hold now is returned as it is.
+
     Every episode keeps its seed and all its attributes. Its ``source`` is the dataset that it came from.
     The environment of a collection of several variants selects one by ``reset(options={"variant": id})``.
 
@@ -67,10 +70,12 @@ def combine_datasets(
 
     Raises:
         DatasetNotFoundError: if the Minari root has no dataset with one of the ids.
-        DatasetExistsError: if the new id is used and ``force`` is false.
-        DatasetError: if there are no episodes to combine, if robots or spaces differ, or if a linked
-            collection would replace a dataset that it links to, or if the new id is that of a variant and
-            episodes are of other variants or tiers.
+        DatasetExistsError: if another dataset has the id, or the sources have changed since they were
+            combined, and ``force`` is false.
+        DatasetError: if there are no episodes to combine, if robots or spaces differ, if a linked
+            collection would replace a dataset that it links to, or if the id stands for other variants or
+            tiers: ``imujoco/hopper-all-v0`` stands for every listed Hopper.
+        ArgumentError: if something else than datasets is given.
 
     Example:
         >>> ids = ["imujoco/hopper-base-v0", "imujoco/hopper-massdec_25_leggeom-v0"]
@@ -78,13 +83,16 @@ def combine_datasets(
         200
     """
     folder = minari_root.dataset_folder(new_dataset_id)
-    if transactions.taken(new_dataset_id) and not force:
-        raise DatasetExistsError(
-            f"{new_dataset_id} already exists, at {folder}; it was not changed (--force replaces it)"
-        )
+    if isinstance(datasets_to_combine, str) or not isinstance(datasets_to_combine, Iterable):
+        raise ArgumentError(f"give a list of datasets or their ids, not {type(datasets_to_combine).__name__}")
+    # This finishes an interrupted replacement, of a source too, so it comes first.
+    taken = transactions.taken(new_dataset_id)
     with minari_root.storage_errors():
         sources = [open_source(dataset) for dataset in datasets_to_combine]
         check_sources(sources)
+    if taken and not force:
+        check_current(new_dataset_id, sources, link=link)
+        return _load(folder)
     with transactions.staging(new_dataset_id) as staging_folder:
         staged = staging_folder / "dataset"
         staged.mkdir()
@@ -103,15 +111,19 @@ def combine_datasets(
             else:
                 written = _copy_sources(sources, data)
         complete_metadata(data, _collection_metadata(sources, new_dataset_id, written))
-        transactions.commit(staged, new_dataset_id, replace=force)
+        try:
+            transactions.commit(staged, new_dataset_id, replace=force)
+        except DatasetExistsError:
+            if force:
+                raise
+            # Another process was faster.
+            check_current(new_dataset_id, sources, link=link)
+    return _load(folder)
+
+
+def _load(folder: Path) -> MinariDataset:
     with minari_root.storage_errors():
         return MinariDataset(folder / "data")
-
-
-def collection_id(robot: str, category: str | None = None, tier: str = EXPERT) -> str:
-    """Return the id of a robot's collection, ``imujoco/<robot>-<all or category>[-<tier>]-v0``."""
-    suffix = "" if tier == EXPERT else f"-{tier}"
-    return f"{NAMESPACE}/{robot}-{category or 'all'}{suffix}-v0"
 
 
 @contextmanager
@@ -175,7 +187,7 @@ def _link_sources(sources: Sequence[Source], data: Path, linked_from: Path) -> _
                 attributes += source.attributes(file)
                 copying.link_episodes(file, source.episodes, target, relpath(source.file, linked_from))
                 steps += _count_steps(source, file)
-                linked.append([len(source.episodes), _episodes_digest(source, file)])
+                linked.append([len(source.episodes), source.digest(file)])
         stated = _shared_attributes(attributes)
         target.attrs.update(stated)
     return _WrittenEpisodes(attributes, steps, stated | {file_format.LINKED: linked})
@@ -186,14 +198,6 @@ def _count_steps(source: Source, file: h5py.File) -> int:
     if source.whole:
         return int(source.metadata["total_steps"])
     return sum(int(file[f"episode_{number}"].attrs["total_steps"]) for number in source.episodes)
-
-
-def _episodes_digest(source: Source, file: h5py.File) -> str:
-    """Return the digest of a source's episodes; from its metadata if all its episodes are used."""
-    if source.whole and "content_sha256" in source.metadata:
-        return str(source.metadata["content_sha256"])
-    digests = (file[f"episode_{number}"].attrs.get(file_format.DIGEST, "") for number in source.episodes)
-    return file_format.dataset_sha256(map(str, digests))
 
 
 def _shared_attributes(attributes: list[dict[str, Any]]) -> dict[str, Any]:
@@ -234,7 +238,10 @@ def _collection_metadata(
 
 
 def _check_id(dataset_id: str, attributes: list[dict[str, Any]], originals: bool) -> None:
-    """Raise a DatasetError if the id is that of a variant's dataset and an episode does not belong in it."""
+    """Raise a DatasetError if the id stands for other variants or tiers than those of the episodes."""
+    collection = NamedCollection.parse(dataset_id)
+    if collection is not None:
+        _check_whole(collection, attributes, originals)
     if not names_variant(dataset_id):
         return
     catalogue = {CATALOGUE: ORIGINAL} if originals else {}
@@ -244,6 +251,28 @@ def _check_id(dataset_id: str, attributes: list[dict[str, Any]], originals: bool
                 f"{dataset_id} is the id of a variant's dataset, but the sources have episodes of "
                 f"the variant {named[0]} and the tier {named[1]}: choose another id"
             )
+
+
+def _check_whole(collection: NamedCollection, attributes: list[dict[str, Any]], originals: bool) -> None:
+    """Raise a DatasetError unless the episodes are of all variants that the collection stands for."""
+    names = {str(variant) for variant in collection.variants}
+    found = {str(attrs.get("variant")) for attrs in attributes}
+    tiers = {str(attrs.get("tier")) for attrs in attributes}
+    if found == names and tiers == {collection.tier} and not originals:
+        return
+    if originals:
+        differs = "the sources are of the original archive"
+    elif found == names:
+        differs = f"the sources have the tiers {', '.join(sorted(tiers))}"
+    else:
+        words = [f"lack {len(names - found)} of them"] if names - found else []
+        words += [f"have {', '.join(sorted(found - names)[:3])} too"] if found - names else []
+        differs = f"the sources {' and '.join(words)}"
+    raise DatasetError(
+        f"{collection.dataset_id} stands for the tier {collection.tier} of all {len(names)} variants of "
+        f"{collection.robot}{f' in {collection.category}' if collection.category else ''}, but {differs}: "
+        "choose another id"
+    )
 
 
 def _collection_env_spec(

@@ -14,7 +14,8 @@ from gymnasium.envs.registration import EnvSpec
 from minari import MinariDataset
 from minari.serialization import deserialize_space
 
-from imujoco_minari.errors import DatasetError, DatasetNotFoundError
+from imujoco_minari.arguments import check_one_robot
+from imujoco_minari.errors import ArgumentError, DatasetError, DatasetNotFoundError
 from imujoco_minari.storage import copying, file_format, minari_root
 from imujoco_minari.storage.metadata import read_metadata
 from imujoco_minari.storage.missing import not_in_root
@@ -74,6 +75,13 @@ class Source:
                 f"{self.dataset_id} was deleted while it was read: nothing was combined"
             ) from None
 
+    def digest(self, file: h5py.File) -> str:
+        """Return the digest of its episodes; from its metadata if all of them are used."""
+        if self.whole and "content_sha256" in self.metadata:
+            return str(self.metadata["content_sha256"])
+        digests = (file[f"episode_{number}"].attrs.get(file_format.DIGEST, "") for number in self.episodes)
+        return file_format.dataset_sha256(map(str, digests))
+
     def attributes(self, file: h5py.File) -> list[dict[str, Any]]:
         """Return the identifying attributes of each episode."""
         if all(key in file.attrs for key in file_format.IDENTITY):
@@ -86,6 +94,7 @@ def open_source(dataset: MinariDataset | str) -> Source:
 
     Raises:
         DatasetNotFoundError: if the Minari root has no dataset with the id.
+        ArgumentError: if it is neither.
         DatasetError: if the dataset is not HDF5, its metadata is malformed, or loading it would run code
             that its metadata names.
     """
@@ -100,7 +109,7 @@ def open_source(dataset: MinariDataset | str) -> Source:
         dataset_id, data = dataset.id, Path(dataset.storage.data_path)
         chosen = [int(index) for index in dataset.episode_indices]
     else:
-        raise DatasetError(f"a source must be a Minari dataset or its id, not {type(dataset).__name__}")
+        raise ArgumentError(f"a source must be a Minari dataset or its id, not {type(dataset).__name__}")
     try:
         folder = minari_root.folder_identity(data)
     except OSError:
@@ -132,12 +141,8 @@ def check_sources(sources: Sequence[Source]) -> None:
         raise DatasetError("nothing to combine: no dataset was given")
     if not any(source.episodes for source in sources):
         raise DatasetError("nothing to combine: the datasets have no episodes")
-    robots = {str(source.metadata.get("robot", "unknown")): source.dataset_id for source in sources}
-    if len(robots) > 1:
-        raise DatasetError(
-            "a collection has datasets of one robot, but these are of several: "
-            + ", ".join(f"{robot} ({dataset_id})" for robot, dataset_id in robots.items())
-        )
+    robots = [(str(source.metadata.get("robot", "")), source.dataset_id) for source in sources]
+    check_one_robot(robots, "a collection holds")
     first = sources[0]
     for source in sources[1:]:
         for name in ("observation_space", "action_space"):

@@ -102,9 +102,14 @@ def episode_sha256(digests: Mapping[str, str]) -> str:
     ).hexdigest()
 
 
+def array_digests(group: h5py.Group) -> dict[str, str]:
+    """Return the digest of every array of an episode group, by its path."""
+    return {name: array_sha256(array[()]) for name, array in arrays(group)}
+
+
 def seal_episode(group: h5py.Group) -> None:
     """Store the digest of every array of an episode group, and the digest of these digests."""
-    digests = {name: array_sha256(array[()]) for name, array in arrays(group)}
+    digests = array_digests(group)
     for name, digest in digests.items():
         group[name].attrs[DIGEST] = digest
     group.attrs[DIGEST] = episode_sha256(digests)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from imujoco_minari.errors import DatasetNotFoundError, VariantError
 from imujoco_minari.storage import minari_root
-from imujoco_minari.variants import CATEGORIES, EXPERT, NAMESPACE, known_robots, parse_dataset_id
+from imujoco_minari.variants import EXPERT, NAMESPACE, parse_dataset_id
+from imujoco_minari.variants.named_collections import NamedCollection
 
 
 def not_in_root(dataset_id: str) -> DatasetNotFoundError:
@@ -25,17 +26,20 @@ def making(dataset_id: str) -> str:
     """Return the command that makes the dataset ``dataset_id``; empty when the id is not one of ours."""
     if dataset_id.startswith(f"{NAMESPACE}-original/"):
         return "imujoco import-archive DIR"
-    if not (dataset_id.startswith(f"{NAMESPACE}/") and dataset_id.endswith("-v0")):
-        return ""
-    robot, _, rest = dataset_id.removeprefix(f"{NAMESPACE}/").removesuffix("-v0").partition("-")
-    part, _, tier = rest.partition("-")
-    if robot in known_robots() and part in ("all", *CATEGORIES):
-        category = "" if part == "all" else f" --category {part}"
-        return f"imujoco combine --robot {robot}{category}" + (f" --tier {tier}" if tier else "")
+    collection = NamedCollection.parse(dataset_id)
+    if collection is not None:
+        category = f" --category {collection.category}" if collection.category else ""
+        return f"imujoco combine --robot {collection.robot}{category}{_option(collection.tier)}"
     try:
         variant, tier = parse_dataset_id(dataset_id)
     except VariantError:
         return ""
+    if variant.dataset_id(tier) != dataset_id:
+        return ""
     if tier == "replay":
         return f"imujoco train {variant} --record-replay"
-    return f"imujoco publish {variant}" + ("" if tier == EXPERT else f" --tier {tier}")
+    return f"imujoco publish {variant}{_option(tier)}"
+
+
+def _option(tier: str) -> str:
+    return "" if tier == EXPERT else f" --tier {tier}"

@@ -54,12 +54,40 @@ def test_publish_verify_combine(capsys: pytest.CaptureFixture[str], root: Path) 
     again = ["publish", "hopper-frictiondec_50_feet", "--tier", "random"]
     assert run([*again, "--episodes", "2"]) == 0
     assert "left alone imujoco/hopper-frictiondec_50_feet-random-v0" in capsys.readouterr().out
-    assert run(["combine", "--robot", "hopper", "--tier", "random"]) == 0
-    assert "combined 3 datasets into imujoco/hopper-all-random-v0: 6 episodes" in capsys.readouterr().out
-    assert run(["combine", "--robot", "hopper", "--tier", "random"]) == 1
-    assert "already exists" in capsys.readouterr().err
+    combine = ["combine", "--robot", "hopper", "--tier", "random"]
+    assert run([*combine, "--category", "friction"]) == 0
+    assert "combined 3 datasets into imujoco/hopper-friction-random-v0: 6 episodes" in capsys.readouterr().out
+    assert run([*combine, "--category", "friction"]) == 0
+    assert "left alone imujoco/hopper-friction-random-v0" in capsys.readouterr().out
+    assert (
+        run(["publish", "hopper-frictiondec_50_feet", "-t", "random", "-n", "2", "-s", "1", "--force"]) == 0
+    )
+    assert run([*combine, "--category", "friction"]) == 1
+    assert "is stale: 1 of its 3 sources" in capsys.readouterr().err
+    assert run([*combine, "--category", "friction", "--force"]) == 0
+    capsys.readouterr()
     assert run(["verify", *minari.list_local_datasets()]) == 0
     assert capsys.readouterr().out.count(": sound") == 4
+
+
+def test_combine_lists_what_is_not_published(capsys: pytest.CaptureFixture[str], root: Path) -> None:
+    assert run(["publish", "hopper-frictiondec_50_feet", "--tier", "random", "--episodes", "2"]) == 0
+    combine = ["combine", "--robot", "hopper", "--category", "friction", "--tier", "random"]
+    capsys.readouterr()
+    for more in ([], ["--id", "imujoco/hopper-some-v0"]):
+        assert run([*combine, *more]) == 2
+        *missing, error = capsys.readouterr().err.splitlines()
+        assert [line.strip() for line in missing] == [
+            f"imujoco/hopper-friction{change}_feet-random-v0" for change in ("dec_25", "inc_50")
+        ]
+        assert "2 of 3 datasets are not in the Minari root: make them with `imujoco publish" in error
+    assert run([*combine, "--partial"]) == 2
+    assert "name the collection with --id" in capsys.readouterr().err
+    assert run([*combine, "--partial", "--id", "imujoco/hopper-friction-random-v0"]) == 1
+    assert "stands for the tier random of all 3 variants of hopper in friction" in capsys.readouterr().err
+    assert run([*combine, "--partial", "--id", "imujoco/hopper-some-v0"]) == 0
+    assert "combined 1 dataset into imujoco/hopper-some-v0: 2 episodes" in capsys.readouterr().out
+    assert run(["combine", "imujoco/x-v0", "--id", "a/b-v0", "--partial"]) == 2
 
 
 def test_verify_fails_on_damage(capsys: pytest.CaptureFixture[str], root: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 
+import gymnasium
 import h5py
 import minari
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 from imujoco_minari.cli.app import run
 from imujoco_minari.errors import DatasetError, DatasetExistsError, DatasetNotFoundError
 from imujoco_minari.publishing import combiner
-from imujoco_minari.publishing.combiner import collection_id, combine_datasets
+from imujoco_minari.publishing.combiner import combine_datasets
 from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.verification import verify
@@ -157,17 +158,73 @@ def test_what_is_damaged_or_missing_is_named(sources, root):
     assert not (root / NEW).exists()
 
 
-def test_a_taken_id_is_left_alone_unless_forced(sources):
-    combine_datasets(sources[:1], NEW)
-    with pytest.raises(DatasetExistsError, match="already exists"):
-        combine_datasets(sources, NEW)
-    assert minari.load_dataset(NEW).total_episodes == EPISODES
+def identity(dataset_id):
+    return minari_root.folder_identity(minari_root.dataset_folder(dataset_id))
+
+
+@pytest.mark.parametrize("link", [False, True])
+def test_the_same_sources_again_change_nothing(sources, link):
+    views = [minari.load_dataset(IDS[0]).filter_episodes(lambda episode: episode.id in (1, 3)), IDS[1]]
+    # Minari's own copy has no digests.
+    minari.combine_datasets([minari.load_dataset(IDS[0])], "imujoco/stock-v0")
+    for datasets in (sources, views, *([] if link else [["imujoco/stock-v0"]])):
+        combine_datasets(datasets, NEW, link=link, force=True)
+        before = identity(NEW)
+        assert combine_datasets(datasets, NEW, link=link).total_episodes > 0
+        assert identity(NEW) == before
+
+
+@pytest.mark.parametrize("link", [False, True])
+def test_a_stale_collection_is_named_and_combined_anew_with_force(sources, link):
+    combine_datasets(sources, NEW, link=link)
+    publish(VARIANTS[1], tier="random", episodes=EPISODES, seed=77, force=True)
+    with pytest.raises(DatasetExistsError, match=rf"stale: 1 of its 3 sources .*: {IDS[1]}\..*--force"):
+        combine_datasets(sources, NEW, link=link)
+    publish(VARIANTS[1], tier="random", episodes=EPISODES + 1, seed=77, force=True)
+    with pytest.raises(DatasetExistsError, match="stale: it has 12 episodes, and its sources have 13 now"):
+        combine_datasets(sources, NEW, link=link)
+    assert combine_datasets(sources, NEW, link=link, force=True).total_episodes == 13
+    assert combine_datasets(sources, NEW, link=link).total_episodes == 13
+
+
+def test_another_dataset_with_the_id_says_how_it_differs(sources):
+    combine_datasets(sources[:2], NEW)
+    for datasets, options, message in (
+        (sources, {}, rf"already combines other datasets: it lacks {IDS[2]}\."),
+        (sources[:1], {}, rf"it also has {IDS[1]}\."),
+        (sources[1:], {}, rf"it lacks {IDS[2]} and also has {IDS[0]}\."),
+        (sources[1::-1], {}, "it has another order"),
+        (sources[:2], {"link": True}, "copies its episodes"),
+    ):
+        with pytest.raises(DatasetExistsError, match=message):
+            combine_datasets(datasets, NEW, **options)
+    with pytest.raises(DatasetExistsError, match="is not a collection"):
+        combine_datasets(sources[:1], IDS[0])
+    assert minari.load_dataset(NEW).total_episodes == 2 * EPISODES
     assert combine_datasets(sources, NEW, force=True).total_episodes == 3 * EPISODES
 
 
-def test_the_default_id_of_a_collection():
-    assert collection_id("hopper", "mass", "random") == "imujoco/hopper-mass-random-v0"
-    assert collection_id("hopper") == "imujoco/hopper-all-v0"
+def test_the_id_of_a_whole_set_stands_for_the_whole_set(sources, monkeypatch):
+    for new, message in (
+        (
+            "imujoco/hopper-all-random-v0",
+            "the tier random of all 37 variants of hopper, but the sources lack 35",
+        ),
+        ("imujoco/hopper-friction-random-v0", "all 3 variants of hopper in friction, but the sources lack 2"),
+    ):
+        with pytest.raises(DatasetError, match=f"{message} .*have .*hopper-base.* too: choose another id"):
+            combine_datasets(sources, new)
+    friction = [f"hopper-friction{change}_feet" for change in ("dec_50", "dec_25", "inc_50")]
+    for name in friction[1:]:
+        publish(name, tier="random", episodes=1)
+    ids = [f"imujoco/{name}-random-v0" for name in friction]
+    with pytest.raises(
+        DatasetError, match=r"stands for the tier expert .*, but the sources have the tiers random"
+    ):
+        combine_datasets(ids, "imujoco/hopper-friction-v0")
+    whole = combine_datasets(ids, "imujoco/hopper-friction-random-v0")
+    registered = gymnasium.make("imujoco/hopper-friction-v0")
+    assert whole.recover_environment().unwrapped.variants == registered.unwrapped.variants
 
 
 def test_nothing_and_two_robots_are_refused(sources, monkeypatch):
@@ -175,7 +232,7 @@ def test_nothing_and_two_robots_are_refused(sources, monkeypatch):
     publish("halfcheetah-base", tier="random", episodes=1)
     with pytest.raises(DatasetError, match="no dataset was given"):
         combine_datasets([], NEW)
-    with pytest.raises(DatasetError, match="a collection has datasets of one robot"):
+    with pytest.raises(DatasetError, match="a collection holds one robot"):
         combine_datasets([IDS[0], "imujoco/halfcheetah-base-random-v0"], NEW)
     empty = minari.load_dataset(IDS[0]).filter_episodes(lambda episode: False)
     with pytest.raises(DatasetError, match="have no episodes"):
