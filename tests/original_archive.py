@@ -173,6 +173,7 @@ def table(
             after, reward, terminated, truncated, _ = env.step(action)
             done = terminated or truncated
             row = {"reward": [reward], "next_observation": after, "done": [done], "odd": rng.normal(size=1)}
+            row |= {"terminated": [terminated], "truncated": [truncated]}
             rows.append(np.concatenate([observation, action, *(row[column] for column in columns)]))
             observation = after
     env.close()

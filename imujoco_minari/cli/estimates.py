@@ -11,7 +11,9 @@ from imujoco_minari.cli.printing import counted
 from imujoco_minari.errors import ImujocoError, NotFoundError
 from imujoco_minari.policies import expert_record
 from imujoco_minari.storage import minari_root
-from imujoco_minari.variants import BASE, EXPERT, Variant, specification
+from imujoco_minari.storage.metadata import read_metadata
+from imujoco_minari.storage.missing import not_in_root
+from imujoco_minari.variants import BASE, EXPERT, Variant, parse_dataset_id, specification
 
 if TYPE_CHECKING:
     from imujoco_minari.publishing.recipes import Recipe
@@ -24,6 +26,9 @@ STEPS_PER_EPISODE = 1000
 # Training: means over the shipped experts. A base comes with its whole agent and its ladder.
 SECONDS_PER_EXPERT, BYTES_PER_EXPERT = 245, 160_000
 SECONDS_PER_BASE, BYTES_PER_BASE = 2200, 4_000_000
+# The original's archive: the table of a dataset, and a policy's zip; importing torch is most of the start.
+SECONDS_PER_TABLE_STEP, SECONDS_PER_ZIP, SECONDS_TO_START = 6e-6, 0.1, 6.0
+BYTES_PER_ZIP = 1_480_000
 # The gallery: a clip, a portrait and a page.
 SECONDS_PER_CLIP, BYTES_PER_CLIP = 4.0, 45_000
 
@@ -84,6 +89,50 @@ def publishing_line(planned: Sequence[Planned], jobs: int) -> str:
     if len(wanted) < len(planned):
         line += f", {len(wanted)} of them to publish"
     return f"{line}: {cost(sum(p.bytes for p in wanted), sum(p.seconds for p in wanted), jobs)}"
+
+
+@dataclass(frozen=True)
+class PlannedExport:
+    """What ``imujoco export`` would write.
+
+    Attributes:
+        datasets: number of datasets.
+        episodes: number of their episodes.
+        steps: number of their steps.
+        bytes: about how much disk the original's archive takes; 0 for other formats.
+        seconds: about how long it takes to write.
+    """
+
+    datasets: int
+    episodes: int
+    steps: int
+    bytes: int = 0
+    seconds: float = 0.0
+
+    def __str__(self) -> str:
+        parts = (("dataset", self.datasets), ("episode", self.episodes), ("step", self.steps))
+        line = ", ".join(counted(count, noun) for noun, count in parts)
+        return f"{line}: {cost(self.bytes, self.seconds)}" if self.bytes else line
+
+
+def plan_export(dataset_ids: Sequence[str], *, archive: bool) -> PlannedExport:
+    """Return what an export of datasets would write; ``archive`` means the original's layout.
+
+    Raises:
+        DatasetNotFoundError: when a dataset is not in the Minari root.
+    """
+    episodes = steps = size = 0
+    for dataset_id in dataset_ids:
+        if not minari_root.exists(dataset_id):
+            raise not_in_root(dataset_id)
+        stated = read_metadata(minari_root.dataset_folder(dataset_id) / "data")
+        episodes, steps = episodes + stated.get("total_episodes", 0), steps + stated.get("total_steps", 0)
+        if archive:
+            observation, action = specification(parse_dataset_id(dataset_id)[0].robot).sizes
+            # Two observations, the action, the reward and two flags, all as float64.
+            size += BYTES_PER_ZIP + 8 * (2 * observation + action + 3) * stated.get("total_steps", 0)
+    seconds = SECONDS_TO_START + SECONDS_PER_TABLE_STEP * steps + SECONDS_PER_ZIP * len(dataset_ids)
+    return PlannedExport(len(dataset_ids), episodes, steps, size, seconds if archive else 0.0)
 
 
 def training_line(variants: Iterable[Variant], policies: Path | None, jobs: int, *, improve: bool) -> str:

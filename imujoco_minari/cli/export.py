@@ -8,16 +8,41 @@ from typing import Annotated
 import typer
 
 from imujoco_minari.cli.app import app
-from imujoco_minari.cli.options import AsJson, DatasetIds, Force, Output, Seed
-from imujoco_minari.cli.printing import counted, out, print_json
+from imujoco_minari.cli.estimates import plan_export
+from imujoco_minari.cli.options import (
+    AsJson,
+    Category,
+    DatasetIds,
+    Everything,
+    Force,
+    MaybeDatasetIds,
+    Output,
+    Robot,
+    Seed,
+    Tiers,
+    WithBase,
+)
+from imujoco_minari.cli.printing import counted, out, print_json, progress, say
+from imujoco_minari.cli.selection import Filters, select_datasets
+from imujoco_minari.errors import DatasetError, VariantError
+
+_WHOLE = (0.0, 1.0)
 
 
 @app.command("export")
 def export_datasets(
-    ids: DatasetIds,
     format: Annotated[
-        str, typer.Option("--format", "-f", metavar="FORMAT", help="d4rl, di-engine, rlds, lerobot or npz.")
+        str,
+        typer.Option(
+            "--format", "-f", metavar="FORMAT", help="d4rl, di-engine, rlds, lerobot, npz or imujoco."
+        ),
     ],
+    ids: MaybeDatasetIds = None,
+    robot: Robot = None,
+    category: Category = None,
+    everything: Everything = False,
+    with_base: WithBase = False,
+    tiers: Tiers = None,
     output: Output = None,
     states_only: Annotated[
         bool, typer.Option("--states-only", help="Leave out actions and rewards.")
@@ -25,25 +50,50 @@ def export_datasets(
     portion: Annotated[
         tuple[float, float],
         typer.Option(metavar="FROM TO", help="Share of each variant's episodes: from and to."),
-    ] = (0.0, 1.0),
+    ] = _WHOLE,
     seed: Seed = 0,
     force: Force = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print what would be exported, and export nothing.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Write datasets in the format of another library.
 
-    The new file or folder is named after the first dataset unless --output names it.
+    The new file or folder is named after the first dataset unless --output names it. With filters, all
+    datasets of the chosen variants must be in the Minari root.
+
+    The format imujoco is the archive of the original benchmark: a folder with the datasets, policies and
+    models of the variants. It takes variants of all robots, each with all its episodes.
 
     Examples: `imujoco export imujoco/hopper-base-v0 --format d4rl`,
-    `imujoco export imujoco/hopper-all-v0 --format rlds --portion 0 0.75 -o train`
+    `imujoco export imujoco/hopper-all-v0 --format rlds --portion 0 0.75 -o train`,
+    `imujoco export --format imujoco --robot halfcheetah -o imujoco`
     """
-    from imujoco_minari.exporting import default_target, export
+    from imujoco_minari.exporting import ARCHIVE, default_target, export, export_archive
     from imujoco_minari.loading import arrays
 
-    target = output or default_target(ids[0], format, states_only=states_only)
-    exported = export(
-        arrays(ids, portion=portion, seed=seed), format, target, states_only=states_only, force=force
-    )
+    filters = Filters(robot, category, everything, with_base)
+    chosen = select_datasets(ids, filters, tiers, complete=True)
+    if output is None and (filters or format == ARCHIVE):
+        raise VariantError("name the new file or folder with --output")
+    if format == ARCHIVE and (states_only or portion != _WHOLE):
+        raise DatasetError(f"the format {ARCHIVE} has whole datasets: leave out --states-only and --portion")
+    target = output or default_target(chosen[0], format, states_only=states_only)
+    if dry_run or len(chosen) > 1:
+        planned = plan_export(chosen, archive=format == ARCHIVE)
+        if dry_run and as_json:
+            print_json(vars(planned))
+        else:
+            say(str(planned))
+        if dry_run:
+            return
+    if format == ARCHIVE:
+        with progress("exporting", len(chosen), quiet=as_json) as advance:
+            exported = export_archive(chosen, target, force=force, on_dataset=advance)
+    else:
+        data = arrays(chosen, portion=portion, seed=seed)
+        exported = export(data, format, target, states_only=states_only, force=force)
     if as_json:
         print_json(vars(exported))
         return

@@ -11,14 +11,12 @@ from imujoco_minari.cli.app import FAILED, advancing, app, gather
 from imujoco_minari.cli.datasets import describe_published
 from imujoco_minari.cli.options import AsJson, Category, Columns, Episodes, Force, Robot, Seed, VariantIds
 from imujoco_minari.cli.printing import counted, out, print_json, print_table, say
-from imujoco_minari.errors import DatasetNotFoundError, VariantError, suggestion
+from imujoco_minari.errors import DatasetNotFoundError
 from imujoco_minari.variants import Variant
 
 if TYPE_CHECKING:
     from imujoco_minari.envs.differences import Difference
-    from imujoco_minari.importing.archive import Archive
     from imujoco_minari.importing.catalogue_diff import Departure
-    from imujoco_minari.variants.original import OriginalVariant
 
 
 @app.command("import-archive")
@@ -50,9 +48,11 @@ def import_archive_command(
     from imujoco_minari.importing.originals import Import, import_archive
 
     archive = open_archive(place)
-    chosen = _chosen(archive, variants or [], robot, category)
+    chosen = archive.select(variants or [], robot, category)
     how = Import(columns, recollect, episodes, seed, force)
-    _say_ignored(archive)
+    if archive.ignored:
+        shown = ", ".join(archive.ignored[:5])
+        say(f"left out {counted(len(archive.ignored), 'file')} not named after a variant: {shown}")
     outcomes = advancing(import_archive(archive, chosen, how), "importing", len(chosen), quiet=as_json)
     gather(outcomes, describe_published, as_json=as_json)
 
@@ -75,21 +75,21 @@ def diff_catalogue(
     Examples: `imujoco diff-catalogue imujoco/`, `imujoco diff-catalogue --robot hopper`
     """
     from imujoco_minari.importing import catalogue_diff
-    from imujoco_minari.importing.archive import open_archive
+    from imujoco_minari.importing.archive import of_kind, open_archive
 
     if place is not None:
         archive = open_archive(place)
-        found = [v for v in archive.variants if "xml" in archive.files[v] and _fits(v, robot, category)]
+        found = of_kind((v for v in archive.variants if "xml" in archive.files[v]), robot, category)
         departures = list(catalogue_diff.departures_of_archive(archive, found))
     else:
-        models = {v: m for v, m in catalogue_diff.published_models().items() if _fits(v, robot, category)}
-        if not models:
+        models = catalogue_diff.published_models()
+        found = of_kind(models, robot, category)
+        if not found:
             raise DatasetNotFoundError(
                 "no dataset of the original is published here: give the archive's folder, "
                 "or import it with `imujoco import-archive DIR`"
             )
-        found = list(models)
-        departures = [catalogue_diff.departure(variant, mjcf) for variant, mjcf in models.items()]
+        departures = [catalogue_diff.departure(variant, models[variant]) for variant in found]
     shared = catalogue_diff.coverage(found, robot, category)
     if as_json:
         print_json(
@@ -148,33 +148,6 @@ def import_command(
             f"{near.position_median:.2g} (m, rad) and {near.velocity_median:.2g} (m/s, rad/s) in the median, "
             f"{near.position_max:.2g} and {near.velocity_max:.2g} at most"
         )
-
-
-def _chosen(
-    archive: Archive, names: list[str], robot: str | None, category: str | None
-) -> list[OriginalVariant]:
-    ids = {str(variant): variant for variant in archive.variants}
-    for name in names:
-        if name not in ids:
-            raise VariantError(
-                f"the archive at {archive.place} has no variant {name!r}{suggestion(name[:80], ids)}; "
-                f"it has {len(ids)}"
-            )
-    chosen = [ids[name] for name in dict.fromkeys(names)] or list(archive.variants)
-    chosen = [variant for variant in chosen if _fits(variant, robot, category)]
-    if not chosen:
-        raise VariantError(f"the archive at {archive.place} has no variant that --robot and --category leave")
-    return chosen
-
-
-def _fits(variant: Variant, robot: str | None, category: str | None) -> bool:
-    return robot in (None, variant.robot) and category in (None, variant.category)
-
-
-def _say_ignored(archive: Archive) -> None:
-    if archive.ignored:
-        shown = ", ".join(archive.ignored[:5])
-        say(f"left out {counted(len(archive.ignored), 'file')} not named after a variant: {shown}")
 
 
 def _print_departures(departures: list[Departure]) -> None:

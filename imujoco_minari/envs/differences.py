@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,17 +25,20 @@ class Difference:
 
 def differences(variant: Variant) -> list[Difference]:
     """Return the physical quantities in which ``variant`` differs from its base robot."""
-    found = model_differences(
-        compile_mjcf(canonical_mjcf(variant.base)), compile_mjcf(canonical_mjcf(variant))
-    )
-    before, after = healthy_z_range(variant.base), healthy_z_range(variant)
-    if before is not None and after is not None and before != after:
-        found += [
-            Difference(f"{side} healthy height", first, second, "m")
-            for side, first, second in zip(("lowest", "highest"), before, after, strict=True)
-            if first != second
-        ]
-    return found
+    models = (compile_mjcf(canonical_mjcf(each)) for each in (variant.base, variant))
+    before, after = healthy_z_range(variant.base) or (), healthy_z_range(variant) or ()
+    heights = zip(("lowest", "highest"), before, after, strict=False)
+    quantities = [(f"{side} healthy height", first, second, "m") for side, first, second in heights]
+    return model_differences(*models) + differing(quantities)
+
+
+def differing(quantities: Iterable[tuple[str, float, float, str]]) -> list[Difference]:
+    """Return the quantities, each a name, two values and a unit, whose values differ."""
+    return [
+        Difference(name, float(before), float(after), unit)
+        for name, before, after, unit in quantities
+        if not np.isclose(before, after, rtol=1e-9, atol=1e-12)
+    ]
 
 
 def model_differences(before: mujoco.MjModel, after: mujoco.MjModel) -> list[Difference]:
@@ -44,28 +47,25 @@ def model_differences(before: mujoco.MjModel, after: mujoco.MjModel) -> list[Dif
     Bodies, geoms and joints are matched by name, or by number where they have none.
     Contact friction is the friction between a geom and the floor.
     """
-    pairs: list[Difference] = []
+    return differing(_quantities(before, after))
 
-    def compare(quantity: str, first: float, second: float, unit: str) -> None:
-        if not np.isclose(first, second, rtol=1e-9, atol=1e-12):
-            pairs.append(Difference(quantity, float(first), float(second), unit))
 
+def _quantities(before: mujoco.MjModel, after: mujoco.MjModel) -> Iterator[tuple[str, float, float, str]]:
     for body in map(before.body, range(1, before.nbody)):
-        compare(f"mass of {_name(before, body)}", body.mass[0], _same(after.body, body).mass[0], "kg")
+        yield f"mass of {_name(before, body)}", body.mass[0], _same(after.body, body).mass[0], "kg"
     for geom in map(before.geom, range(before.ngeom)):
         name, twin = geom.name or _name(before, before.body(geom.bodyid[0])), _same(after.geom, geom)
         if geom.type[0] == mujoco.mjtGeom.mjGEOM_CAPSULE:
-            compare(f"length of {name}", 2 * geom.size[1], 2 * twin.size[1], "m")
+            yield f"length of {name}", 2 * geom.size[1], 2 * twin.size[1], "m"
         if geom.type[0] != mujoco.mjtGeom.mjGEOM_PLANE:
-            compare(f"radius of {name}", geom.size[0], twin.size[0], "m")
+            yield f"radius of {name}", geom.size[0], twin.size[0], "m"
             first, second = _friction(before, geom.id), _friction(after, twin.id)
-            compare(f"friction of {name} on floor", first, second, "1")
+            yield f"friction of {name} on floor", first, second, "1"
     for joint in map(before.joint, range(before.njnt)):
         for side, end in (("lower", 0), ("upper", 1)):
             first, second = (np.degrees(each.range[end]) for each in (joint, _same(after.joint, joint)))
-            compare(f"{side} limit of {joint.name}", first, second, "deg")
-    compare("height of the root", before.body_pos[1][2], after.body_pos[1][2], "m")
-    return pairs
+            yield f"{side} limit of {joint.name}", first, second, "deg"
+    yield "height of the root", before.body_pos[1][2], after.body_pos[1][2], "m"
 
 
 def _same(access: Callable[[str | int], Any], element: Any) -> Any:

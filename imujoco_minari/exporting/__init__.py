@@ -1,12 +1,13 @@
 """Datasets as the files and in-memory objects of other libraries.
 
-:func:`export` writes files, with one module for each format. The ``to_...`` functions return objects.
+:func:`export` writes files, with one module for each format; :func:`export_archive` writes the layout of the
+original's archive. The ``to_...`` functions return objects.
 :mod:`imujoco_minari.exporting.torch` requires PyTorch, so it is imported separately.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -18,11 +19,13 @@ from imujoco_minari.loading import Arrays, Datasets, arrays
 from imujoco_minari.storage.targets import new_target
 
 __all__ = [
+    "ARCHIVE",
     "FORMATS",
     "Exported",
     "Writer",
     "default_target",
     "export",
+    "export_archive",
     "to_d3rlpy",
     "to_imitation",
     "to_tensordict",
@@ -38,6 +41,8 @@ FORMATS: Mapping[str, tuple[str, str]] = {
     "lerobot": ("lerobot", ""),
     "npz": ("npz", ".npz"),
 }
+# The format of :func:`export_archive`, for the command line.
+ARCHIVE = "imujoco"
 
 
 class Writer(Protocol):
@@ -93,6 +98,43 @@ def export(
     return Exported(target, format, data.episodes, len(data))
 
 
+def export_archive(
+    dataset_ids: str | Sequence[str],
+    target: Path | str,
+    *,
+    force: bool = False,
+    on_dataset: Callable[[], None] = lambda: None,
+) -> Exported:
+    """Write datasets as the original's archive: folders ``dataset``, ``policies`` and ``xml``.
+
+    The datasets may be of several robots. They are loaded one at a time.
+
+    Args:
+        dataset_ids: ids of datasets, one for each variant, each made by one installed policy.
+        target: the folder to make.
+        force: replace ``target`` if it is an export; nothing else is ever replaced.
+        on_dataset: called after each dataset.
+
+    Raises:
+        DatasetError: when two datasets are of one variant, or another policy or version made a dataset.
+        DatasetExistsError: when ``target`` exists, and ``force`` is false or it is no export.
+        DatasetNotFoundError: when a dataset is not in the Minari root.
+        PolicyNotFoundError: when no single policy makes the tier of a dataset.
+        StorageError: when ``target`` cannot be written.
+
+    Example:
+        >>> export_archive(["imujoco/hopper-massdec_25_leggeom-v0"], "imujoco")  # doctest: +SKIP
+        Exported(path=PosixPath('imujoco'), format='imujoco', episodes=100, steps=100000)
+    """
+    from imujoco_minari.exporting import imujoco
+
+    target = Path(target)
+    dataset_ids = [dataset_ids] if isinstance(dataset_ids, str) else dataset_ids
+    with new_target(target, force=force) as staged:
+        episodes, steps = imujoco.write(dataset_ids, staged, on_dataset)
+    return Exported(target, ARCHIVE, episodes, steps)
+
+
 def default_target(dataset_id: str, format: str, *, states_only: bool = False) -> Path:
     """Return the default path of an export, ``<name>-<format>`` in the current folder."""
     _writer(format)
@@ -101,6 +143,8 @@ def default_target(dataset_id: str, format: str, *, states_only: bool = False) -
 
 
 def _writer(format: str) -> Writer:
+    if format == ARCHIVE:
+        raise DatasetError(f"the format {ARCHIVE} is a folder of many datasets: see export_archive()")
     if not isinstance(format, str) or format not in FORMATS:
         shown = clipped(format)
         raise DatasetError(

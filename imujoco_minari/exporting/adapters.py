@@ -6,6 +6,7 @@ adapter states which data the library cannot hold.
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -22,11 +23,7 @@ def to_tianshou(data: Arrays) -> Any:
     Raises:
         DependencyError: when Tianshou is not installed.
     """
-    try:
-        from tianshou.data import ReplayBuffer
-    except ImportError:
-        raise _missing("tianshou", "to_tianshou()") from None
-    buffer = ReplayBuffer.from_data(
+    buffer = _library("tianshou.data", "to_tianshou()").ReplayBuffer.from_data(
         obs=data.observations,
         act=data.actions,
         rew=data.rewards,
@@ -49,19 +46,15 @@ def to_d3rlpy(data: Arrays) -> Any:
     Raises:
         DependencyError: when d3rlpy is not installed.
     """
-    try:
-        from d3rlpy.constants import ActionSpace
-        from d3rlpy.dataset import MDPDataset
-    except ImportError:
-        raise _missing("d3rlpy", "to_d3rlpy()") from None
-    return MDPDataset(
+    d3rlpy = _library("d3rlpy", "to_d3rlpy()")
+    return d3rlpy.dataset.MDPDataset(
         observations=data.observations,
         actions=data.actions,
         rewards=data.rewards.reshape(-1, 1),
         terminals=data.terminations.astype(np.float32),
         # d3rlpy requires exactly one of the two where an episode is both terminated and truncated.
         timeouts=(data.truncations & ~data.terminations).astype(np.float32),
-        action_space=ActionSpace.CONTINUOUS,
+        action_space=d3rlpy.constants.ActionSpace.CONTINUOUS,
     )
 
 
@@ -74,15 +67,8 @@ def to_tensordict(data: Arrays) -> Any:
     Raises:
         DependencyError: when TensorDict is not installed.
     """
-    try:
-        import torch
-        from tensordict import TensorDict
-    except ImportError:
-        raise _missing("tensordict", "to_tensordict()") from None
-
-    def tensor(array: Any) -> Any:
-        return torch.from_numpy(array)
-
+    tensordict = _library("tensordict", "to_tensordict()")
+    tensor = _library("torch", "to_tensordict()").from_numpy
     after = {
         "observation": tensor(data.next_observations),
         "reward": tensor(data.rewards).unsqueeze(-1),
@@ -95,9 +81,9 @@ def to_tensordict(data: Arrays) -> Any:
         "action": tensor(data.actions),
         "episode": tensor(np.repeat(np.arange(data.episodes), data.episode_lengths)),
         "variant_index": tensor(data.variant_index),
-        "next": TensorDict(after, batch_size=[len(data)]),
+        "next": tensordict.TensorDict(after, batch_size=[len(data)]),
     }
-    return TensorDict(steps, batch_size=[len(data)])
+    return tensordict.TensorDict(steps, batch_size=[len(data)])
 
 
 def to_torchrl(data: Arrays, *, batch_size: int = 256) -> Any:
@@ -112,11 +98,9 @@ def to_torchrl(data: Arrays, *, batch_size: int = 256) -> Any:
     Raises:
         DependencyError: when TorchRL is not installed.
     """
-    try:
-        from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
-    except ImportError:
-        raise _missing("torchrl", "to_torchrl()") from None
-    buffer = TensorDictReplayBuffer(storage=LazyTensorStorage(len(data)), batch_size=batch_size)
+    torchrl = _library("torchrl.data", "to_torchrl()")
+    storage = torchrl.LazyTensorStorage(len(data))
+    buffer = torchrl.TensorDictReplayBuffer(storage=storage, batch_size=batch_size)
     buffer.extend(to_tensordict(data))
     return buffer
 
@@ -129,12 +113,9 @@ def to_imitation(data: Arrays) -> list[Any]:
     Raises:
         DependencyError: when imitation is not installed.
     """
-    try:
-        from imitation.data.types import TrajectoryWithRew
-    except ImportError:
-        raise _missing("imitation", "to_imitation()") from None
+    imitation = _library("imitation.data.types", "to_imitation()")
     return [
-        TrajectoryWithRew(
+        imitation.TrajectoryWithRew(
             obs=episode.observations,
             acts=episode.actions,
             infos=None,
@@ -145,6 +126,17 @@ def to_imitation(data: Arrays) -> list[Any]:
     ]
 
 
-def _missing(package: str, purpose: str) -> DependencyError:
-    # Not an extra of this package: some of these libraries pin versions that conflict with its own.
-    return DependencyError(f"{purpose} needs {package}, which is not installed: run `pip install {package}`")
+def _library(module: str, purpose: str) -> Any:
+    """Return a module of another library.
+
+    Raises:
+        DependencyError: when the library is not installed.
+    """
+    try:
+        return import_module(module)
+    except ImportError:
+        # Not an extra of this package: some of these libraries pin versions that conflict with its own.
+        package = module.partition(".")[0]
+        raise DependencyError(
+            f"{purpose} needs {package}, which is not installed: run `pip install {package}`"
+        ) from None

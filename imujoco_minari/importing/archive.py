@@ -9,19 +9,16 @@ from __future__ import annotations
 import shutil
 import stat
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from imujoco_minari.envs.external_mjcf import canonical_foreign_mjcf
 from imujoco_minari.envs.untrusted_mjcf import MAX_BYTES
-from imujoco_minari.errors import DatasetError, DatasetNotFoundError, StorageError, VariantError
+from imujoco_minari.errors import DatasetError, DatasetNotFoundError, StorageError, VariantError, suggestion
 from imujoco_minari.importing.safe_unpack import open_zip, unpack
-from imujoco_minari.variants.original import OriginalVariant
-
-# Part -> prefix and suffix of its files around the variant's id.
-_PARTS = {"xml": ("", ".xml"), "policies": ("sac-", ".zip"), "dataset": ("sac-", ".npz")}
+from imujoco_minari.variants.original import PARTS, OriginalVariant, file_name
 
 
 @dataclass(frozen=True)
@@ -71,6 +68,26 @@ class Archive:
         """The variants that have at least one file in the archive, sorted."""
         return tuple(sorted(self.files))
 
+    def select(self, names: Sequence[str], robot: str | None, category: str | None) -> list[OriginalVariant]:
+        """Return the variants that are named, all when none is, of one robot and category or of any.
+
+        Raises:
+            VariantError: when the archive has no such variant, or none is left.
+        """
+        ids = {str(variant): variant for variant in self.variants}
+        for name in names:
+            if name not in ids:
+                raise VariantError(
+                    f"the archive at {self.place} has no variant {name!r}{suggestion(name[:80], ids)}; "
+                    f"it has {len(ids)}"
+                )
+        chosen = of_kind([ids[name] for name in dict.fromkeys(names or ids)], robot, category)
+        if not chosen:
+            raise VariantError(
+                f"the archive at {self.place} has no variant that --robot and --category leave"
+            )
+        return chosen
+
     def member(self, variant: OriginalVariant, part: str) -> Member:
         """Return a variant's file of a part.
 
@@ -79,9 +96,8 @@ class Archive:
         """
         found = self.files.get(variant, {}).get(part)
         if found is None:
-            prefix, suffix = _PARTS[part]
             raise DatasetNotFoundError(
-                f"{variant}: the archive at {self.place} has no {part}/{prefix}{variant}{suffix}"
+                f"{variant}: the archive at {self.place} has no {file_name(part, variant)}"
             )
         return found
 
@@ -99,6 +115,13 @@ class Archive:
         return text, canonical_foreign_mjcf(text, variant.robot, str(member))
 
 
+def of_kind(
+    variants: Iterable[OriginalVariant], robot: str | None, category: str | None
+) -> list[OriginalVariant]:
+    """Return the variants of a robot and a category; None means any."""
+    return [v for v in variants if robot in (None, v.robot) and category in (None, v.category)]
+
+
 def open_archive(place: Path) -> Archive:
     """Return the archive in the folder ``place``.
 
@@ -111,13 +134,13 @@ def open_archive(place: Path) -> Archive:
     files: dict[OriginalVariant, dict[str, Member]] = {}
     ignored: list[str] = []
     roots = [root for root in (place, place / "imujoco") if root.is_dir()]
-    parts = [(part, found) for part in _PARTS for root in roots if (found := _part(root, part)) is not None]
+    parts = [(part, found) for part in PARTS for root in roots if (found := _part(root, part)) is not None]
     if not parts:
         raise DatasetNotFoundError(
-            f"{place} holds no part of the archive; valid: the folders {', '.join(_PARTS)}, or their zips"
+            f"{place} holds no part of the archive; valid: the folders {', '.join(PARTS)}, or their zips"
         )
     for part, members in parts:
-        prefix, suffix = _PARTS[part]
+        prefix, suffix = PARTS[part]
         for member in members:
             name = (member.entry or member.path.name).rpartition("/")[2]
             if name.startswith("._") or name == ".DS_Store":

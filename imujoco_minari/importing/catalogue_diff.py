@@ -9,9 +9,8 @@ from typing import Any
 
 import h5py
 import mujoco
-import numpy as np
 
-from imujoco_minari.envs.differences import Difference, model_differences
+from imujoco_minari.envs.differences import Difference, differing, model_differences
 from imujoco_minari.envs.external_mjcf import canonical_foreign_mjcf
 from imujoco_minari.envs.mjcf import canonical_mjcf, compile_mjcf
 from imujoco_minari.errors import ImujocoError
@@ -72,10 +71,10 @@ def departure(variant: OriginalVariant, mjcf: str) -> Departure:
     ours = compile_mjcf(canonical_mjcf(Variant.parse(_against(variant))))
     theirs = compile_mjcf(mjcf)
     try:
-        found = (*model_differences(ours, theirs), *_more_differences(ours, theirs))
+        found = model_differences(ours, theirs) + differing(_more_quantities(ours, theirs))
     except KeyError as error:
         return Departure(str(variant), _against(variant), error=f"{variant}: has other names: {error}")
-    return Departure(str(variant), _against(variant), found)
+    return Departure(str(variant), _against(variant), tuple(found))
 
 
 def coverage(variants: Iterable[OriginalVariant], robot: str | None, category: str | None) -> Coverage:
@@ -90,17 +89,15 @@ def common_differences(departures: Iterable[Departure]) -> dict[str, dict[Differ
 
     Where gym's model of the robot differs from ours, every variant of the robot differs too.
     """
-    counts: dict[str, Counter[Difference]] = {}
-    totals: Counter[str] = Counter()
+    robots: dict[str, list[Departure]] = {}
     for departure in departures:
-        robot = departure.variant.partition("-")[0]
-        counts.setdefault(robot, Counter()).update(departure.differences)
-        totals[robot] += 1
-    shared = {
-        robot: {d: count for d, count in counter.items() if count > 2 and 2 * count > totals[robot]}
-        for robot, counter in counts.items()
-    }
-    return {robot: found for robot, found in shared.items() if found}
+        robots.setdefault(departure.variant.partition("-")[0], []).append(departure)
+    shared: dict[str, dict[Difference, int]] = {}
+    for robot, found in robots.items():
+        for difference, count in Counter(each for d in found for each in d.differences).items():
+            if count > 2 and 2 * count > len(found):
+                shared.setdefault(robot, {})[difference] = count
+    return shared
 
 
 def published_models() -> dict[OriginalVariant, str]:
@@ -122,29 +119,22 @@ def _against(variant: OriginalVariant) -> str:
     return str(variant.ours or variant.base)
 
 
-def _more_differences(ours: mujoco.MjModel, theirs: mujoco.MjModel) -> list[Difference]:
-    """Return differences in what no category of ours changes, and so in nothing that ``show`` lists."""
-    found: list[Difference] = []
-
-    def compare(quantity: str, first: float, second: float, unit: str) -> None:
-        if not np.isclose(first, second, rtol=1e-9, atol=1e-12):
-            found.append(Difference(quantity, float(first), float(second), unit))
-
+def _more_quantities(ours: mujoco.MjModel, theirs: mujoco.MjModel) -> Iterator[tuple[str, float, float, str]]:
+    """Yield what no category of ours changes, and so nothing that ``show`` lists."""
     anchors = _anchors(ours), _anchors(theirs)
     # The original's model has been checked to have our joints and actuators, in our order.
     for i in range(ours.njnt):
         name = ours.joint(i).name
         for label, field, unit in _JOINT_VALUES:
-            compare(f"{label} of {name}", getattr(ours, field)[i], getattr(theirs, field)[i], unit)
+            yield f"{label} of {name}", getattr(ours, field)[i], getattr(theirs, field)[i], unit
         for axis, number in (("x", 0), ("z", 2)):
             first, second = (places[i][number] for places in anchors)
-            compare(f"{axis} of {name} in the rest pose", first, second, "m")
+            yield f"{axis} of {name} in the rest pose", first, second, "m"
     for i in range(ours.nu):
         name = ours.joint(int(ours.actuator_trnid[i][0])).name
-        compare(f"gear of {name}", ours.actuator_gear[i][0], theirs.actuator_gear[i][0], "N m")
-    compare("timestep", ours.opt.timestep, theirs.opt.timestep, "s")
-    compare("gravity", ours.opt.gravity[2], theirs.opt.gravity[2], "m/s2")
-    return found
+        yield f"gear of {name}", ours.actuator_gear[i][0], theirs.actuator_gear[i][0], "N m"
+    yield "timestep", ours.opt.timestep, theirs.opt.timestep, "s"
+    yield "gravity", ours.opt.gravity[2], theirs.opt.gravity[2], "m/s2"
 
 
 def _anchors(model: mujoco.MjModel) -> Any:

@@ -1,4 +1,4 @@
-"""Which column of an archive's table is what: guessed, and the guess checked against the robot's rules.
+"""Which column of a table is what: guessed, and the guess checked against the robot's rules.
 
 The original documents only that a row begins with observation and action, and its reader takes the last
 column for the done flag. The columns between them are found by trial: a reward must follow the robot's
@@ -7,7 +7,6 @@ reward formula, and a next observation must be the next row's observation.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,16 +15,35 @@ from numpy.typing import NDArray
 
 from imujoco_minari.envs.registration import MAX_EPISODE_STEPS
 from imujoco_minari.errors import DatasetError, suggestion
-from imujoco_minari.importing.transitions import Transitions, checked
+from imujoco_minari.importing.transitions import Transitions
 from imujoco_minari.variants import specification
+from imujoco_minari.variants.pages import Reward
 
 Array = NDArray[Any]
 
 # The one array of the original's npz files.
 ARRAY = "data"
 
-_COLUMNS = ("observation", "action", "reward", "next_observation", "done", "terminated", "skip")
+# The name of a column, and the field of Transitions that it becomes.
+_FIELDS = {
+    "observation": "observations",
+    "action": "actions",
+    "reward": "rewards",
+    "next_observation": "next_observations",
+    "done": "ends",
+    "terminated": "terminated",
+}
+_COLUMNS = (*_FIELDS, "skip")
 _EXAMPLE = "observation,action,reward,done"
+# What may stand between the action and done; the last is what this package exports.
+_BETWEEN = (
+    (),
+    ("reward",),
+    ("next_observation",),
+    ("reward", "next_observation"),
+    ("next_observation", "reward"),
+    ("reward", "next_observation", "terminated"),
+)
 
 
 @dataclass(frozen=True)
@@ -42,15 +60,16 @@ class Layout:
     def __str__(self) -> str:
         return ",".join(f"skip:{size}" if name == "skip" else name for name, size in self.columns)
 
-    def of(self, table: Array, name: str) -> Array | None:
-        """Return the columns of ``table`` that go by ``name``, ``(n,)`` where it is one number."""
+    def transitions(self, table: Array) -> Transitions:
+        """Return the columns of ``table`` as they are, unchecked."""
+        fields: dict[str, Array] = {}
         start = 0
-        for column, size in self.columns:
-            if column == name:
-                found = table[:, start : start + size]
-                return found if name.endswith(("observation", "action")) else found[:, 0]
+        for name, size in self.columns:
+            found = table[:, start : start + size]
             start += size
-        return None
+            if name in _FIELDS:
+                fields[_FIELDS[name]] = found if name.endswith(("observation", "action")) else found[:, 0]
+        return Transitions(**fields)
 
 
 @dataclass(frozen=True)
@@ -119,32 +138,24 @@ def read_table(
         # The user's statement is believed, unless the column of flags holds other numbers.
         if not checks[0].passed:
             raise DatasetError(f"{name}: {checks[0]}")
-    return checked(_transitions(table, found), robot, name), found, checks
+    return found.transitions(table).checked(robot, name), found, checks
 
 
 def _detect(table: Array, robot: str, name: str) -> tuple[Layout, list[Check]]:
-    known = sum(specification(robot).sizes)
-    between = table.shape[1] - known - 1
     candidates = [
-        layout(",".join(("observation", "action", *middle, "done")), robot)
-        for middle in (
-            (),
-            ("reward",),
-            ("next_observation",),
-            ("reward", "next_observation"),
-            ("next_observation", "reward"),
-        )
-        if sum(_size(column, robot) for column in middle) == between
+        layout(",".join(("observation", "action", *between, "done")), robot) for between in _BETWEEN
     ]
-    tried = [(candidate, _checks(table, candidate, robot)) for candidate in candidates]
+    tried = [(each, _checks(table, each, robot)) for each in candidates if each.width == table.shape[1]]
     fitting = [(candidate, checks) for candidate, checks in tried if all(check.passed for check in checks)]
     if len(fitting) == 1:
         return fitting[0]
+    known = sum(specification(robot).sizes)
     head = f"{name}: has {table.shape[1]} columns, {known} of them {robot}'s observation and action"
-    if not candidates:
-        found = f"the {max(between + 1, 0)} others are not reward, next observation and done"
-    else:
+    if tried:
         found = "; ".join(f"as {candidate} ({_failed(checks)})" for candidate, checks in tried)
+    else:
+        others = max(table.shape[1] - known, 0)
+        found = f"the {others} others are not reward, next observation and done"
     raise DatasetError(f"{head}; {found}. State them with --columns, for example --columns {_EXAMPLE}")
 
 
@@ -153,17 +164,19 @@ def _failed(checks: list[Check]) -> str:
 
 
 def _checks(table: Array, candidate: Layout, robot: str) -> list[Check]:
-    rows = _transitions(table, candidate)
-    checks = [_check_done(candidate.of(table, "done")), _check_actions(rows.actions)]
+    rows = candidate.transitions(table)
+    checks = [_check_done(rows.ends), _check_actions(rows.actions)]
     if rows.next_observations is not None:
-        checks.append(_check_next(rows))
-    if rows.rewards is not None and specification(robot).reward is not None:
-        checks.append(_check_reward(rows, robot))
+        checks.append(_check_next(rows, rows.next_observations))
+    formula = specification(robot).reward
+    if rows.rewards is not None and formula is not None:
+        checks.append(_check_reward(rows, rows.rewards, robot, formula))
+    if rows.terminated is not None:
+        checks.append(_check_terminated(rows.ends, rows.terminated))
     return checks
 
 
-def _check_done(done: Array | None) -> Check:
-    assert done is not None
+def _check_done(done: Array) -> Check:
     odd = done[(done != 0) & (done != 1)]
     seen = f"it holds {odd[0]:.6g}" if len(odd) else f"{int(done.sum())} of {len(done)} are 1"
     return Check("the done column is 0 or 1", not len(odd), seen)
@@ -174,40 +187,44 @@ def _check_actions(actions: Array) -> Check:
     return Check("actions lie within -1 and 1", largest <= 1.0 + 1e-6, f"the largest is {largest:.6g}")
 
 
-def _check_next(rows: Transitions) -> Check:
-    assert rows.next_observations is not None
-    inner = _inner(rows)
-    gaps = np.abs(rows.next_observations[:-1] - rows.observations[1:])
-    same = (gaps <= 1e-6 + 1e-5 * np.abs(rows.observations[1:])).all(axis=1)[inner]
+def _check_next(rows: Transitions, next_observations: Array) -> Check:
+    gaps = np.abs(next_observations[:-1] - rows.observations[1:])
+    same = (gaps <= 1e-6 + 1e-5 * np.abs(rows.observations[1:])).all(axis=1)[_inner(rows)]
     share = float(same.mean()) if len(same) else 0.0
     return Check(
         "the next observation is the next row's", share >= 0.98, f"in {share:.1%} of {len(same)} rows"
     )
 
 
-def _check_reward(rows: Transitions, robot: str) -> Check:
+def _check_reward(rows: Transitions, rewards: Array, robot: str, formula: Reward) -> Check:
     """Compare with the formula; the velocity over a step lies near the mean of those at its ends."""
-    assert rows.rewards is not None
-    page = specification(robot)
-    assert page.reward is not None, "called for robots with a formula only"
-    cost, healthy = page.reward.control_cost, page.reward.healthy
+    what = "the reward follows the robot's formula"
     inner = np.flatnonzero(_inner(rows))
-    velocity = rows.observations[:, page.observed_positions].astype(np.float64)
+    if not len(inner):
+        return Check(what, False, "no two rows of one episode to tell it by")
+    velocity = rows.observations[:, specification(robot).observed_positions].astype(np.float64)
     expected = (velocity[inner] + velocity[inner + 1]) / 2
-    given = (
-        rows.rewards[inner] + cost * np.square(rows.actions[inner].astype(np.float64)).sum(axis=1) - healthy
-    )
-    if not len(given):
-        return Check(
-            "the reward follows the robot's formula", False, "no two rows of one episode to tell it by"
-        )
+    effort = np.square(rows.actions[inner].astype(np.float64)).sum(axis=1)
+    given = rewards[inner] + formula.control_cost * effort - formula.healthy
     error = float(np.median(np.abs(given - expected)))
     spread = float(np.median(np.abs(expected - np.median(expected))))
-    return Check(
-        "the reward follows the robot's formula",
-        error <= 0.5 * spread + 0.02,
-        f"median difference {error:.3g} where the forward velocity spreads by {spread:.3g}",
+    seen = f"median difference {error:.3g} where the forward velocity spreads by {spread:.3g}"
+    return Check(what, error <= 0.5 * spread + 0.02, seen)
+
+
+def _check_terminated(done: Array, terminated: Array) -> Check:
+    """Check that every early end is marked, few ends at the time limit, and no other row."""
+    lasts = np.flatnonzero(done)
+    early = np.diff(lasts, prepend=-1) < MAX_EPISODE_STEPS
+    at_limit = terminated[lasts[~early]]
+    passed = (
+        np.isin(terminated, (0, 1)).all()
+        and terminated.sum() == terminated[lasts].sum()
+        and terminated[lasts[early]].all()
+        and 2 * at_limit.sum() <= len(at_limit)
     )
+    seen = f"{early.sum()} of {len(lasts)} episodes end early, {(terminated == 1).sum()} rows are marked"
+    return Check("terminated marks the episodes that end early", bool(passed), seen)
 
 
 def _inner(rows: Transitions) -> Array:
@@ -216,19 +233,6 @@ def _inner(rows: Transitions) -> Array:
     # Some files mark falls only, and begin a new episode every 1000 rows.
     inner[MAX_EPISODE_STEPS - 1 :: MAX_EPISODE_STEPS] = False
     return inner
-
-
-def _transitions(table: Array, found: Layout) -> Transitions:
-    get: Callable[[str], Any] = lambda name: found.of(table, name)  # noqa: E731
-    return Transitions(
-        get("observation"),
-        get("action"),
-        get("done"),
-        get("terminated"),
-        None,
-        get("reward"),
-        get("next_observation"),
-    )
 
 
 def _size(name: str, robot: str) -> int:

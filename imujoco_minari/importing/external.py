@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import h5py
@@ -19,12 +19,12 @@ from imujoco_minari.envs.mjcf import canonical_mjcf
 from imujoco_minari.envs.registration import environment_spec
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError
 from imujoco_minari.importing.columns import ARRAY, read_table
-from imujoco_minari.importing.physics import Fidelity, Physics
-from imujoco_minari.importing.safe_unpack import Allowance, Array, one_of, read_npz
-from imujoco_minari.importing.transitions import Transitions, checked, cut, episodes, fidelity
+from imujoco_minari.importing.physics import Physics
+from imujoco_minari.importing.safe_unpack import Allowance, Array, read_npz
+from imujoco_minari.importing.transitions import Fidelity, Transitions, cut
 from imujoco_minari.policies.references import reference_scores
 from imujoco_minari.publishing.publisher import NewDataset, Published, publish_episodes
-from imujoco_minari.storage import file_format, minari_root
+from imujoco_minari.storage import containment, file_format, minari_root
 from imujoco_minari.storage.metadata import provenance, read_metadata
 from imujoco_minari.variants import Variant
 from imujoco_minari.verification.child_process import survives_walk
@@ -89,7 +89,7 @@ def import_dataset(
     spec = environment_spec(variant)
     with Physics(spec) as physics:
         found = cut(read.transitions, physics)
-        near = fidelity(read.transitions, found, physics)
+        near = found.fidelity()
         metadata = {
             **provenance(
                 authors=read.authors or ("unknown",),
@@ -110,8 +110,7 @@ def import_dataset(
         }
         attributes = file_format.attributes(variant, tier) | {file_format.REPLAYABLE: False}
         dataset = NewDataset(dataset_id, attributes, canonical_mjcf(variant), metadata)
-        recorded = episodes(read.transitions, found, physics)
-        published = publish_episodes(dataset, spec, recorded, force=force)
+        published = publish_episodes(dataset, spec, found.episodes(), force=force)
     return Imported(published, near, found.notes)
 
 
@@ -149,7 +148,7 @@ def _npz(path: Path, robot: str, columns: str | None) -> ExternalData:
     if ARRAY in arrays:
         transitions, layout, _ = read_table(arrays[ARRAY], robot, str(path), columns)
         return ExternalData("an .npz table", transitions, str(layout))
-    return ExternalData("an .npz file", checked(_flat(arrays, str(path)), robot, str(path)))
+    return ExternalData("an .npz file", _flat(arrays, robot, str(path)))
 
 
 def _d4rl(path: Path, robot: str) -> ExternalData:
@@ -159,32 +158,26 @@ def _d4rl(path: Path, robot: str) -> ExternalData:
         arrays = {name: _array(file, name, str(path), allowance) for name in known}
         if not arrays and "episode_0" in file:
             raise DatasetError(f"{path}: is a Minari dataset's file: give the dataset's folder, or its id")
-    return ExternalData("a D4RL HDF5 file", checked(_flat(arrays, str(path)), robot, str(path)))
+    return ExternalData("a D4RL HDF5 file", _flat(arrays, robot, str(path)))
 
 
-def _flat(arrays: Mapping[str, Array], name: str) -> Transitions:
+def _flat(arrays: Mapping[str, Array], robot: str, name: str) -> Transitions:
     """Return the transitions of arrays of one length, under any of their known names."""
-    found = {key: one_of(arrays, *names) for key, names in _NAMES.items()}
-    observations, actions = found["observations"], found["actions"]
-    if observations is None or actions is None:
+    found = {
+        field: arrays[known]
+        for field, names in _NAMES.items()
+        if (known := next((word for word in names if word in arrays), None)) is not None
+    }
+    if not {"observations", "actions"} <= set(found):
         seen = ", ".join(sorted(arrays))[:200] or "no array of a known name"
         raise DatasetError(f"{name}: has no observations and actions, but {seen}")
-    flags = [array for key in ("terminated", "truncated", "ends") if (array := found[key]) is not None]
+    flags = [found[field] for field in ("terminated", "truncated", "ends") if field in found]
     if not flags:
         raise DatasetError(f"{name}: nothing says where episodes end; valid: terminals, timeouts, dones")
-    if any(array.shape != flags[0].shape for array in flags) or flags[0].shape != (len(observations),):
-        raise DatasetError(
-            f"{name}: flags of shapes {[array.shape for array in flags]} for {len(observations)} steps"
-        )
-    return Transitions(
-        observations,
-        actions,
-        np.any(flags, axis=0),
-        found["terminated"],
-        found["truncated"],
-        found["rewards"],
-        found["next_observations"],
-    )
+    steps = len(np.atleast_1d(found["observations"]))
+    if any(array.shape != (steps,) for array in flags):
+        raise DatasetError(f"{name}: flags of shapes {[array.shape for array in flags]} for {steps} steps")
+    return Transitions(**(found | {"ends": np.any(flags, axis=0)})).checked(robot, name)
 
 
 def _minari(folder: Path, robot: str) -> ExternalData:
@@ -203,22 +196,11 @@ def _minari(folder: Path, robot: str) -> ExternalData:
             parts.append(_episode(group, f"{folder}: {name}", robot, allowance))
     if not parts:
         raise DatasetError(f"{folder}: holds no episode")
-    joined = {
-        key: np.concatenate([getattr(part, key) for part in parts])
-        for key in (
-            "observations",
-            "actions",
-            "ends",
-            "terminated",
-            "truncated",
-            "rewards",
-            "next_observations",
-        )
-    }
+    names = [field.name for field in fields(Transitions)]
     authors = metadata.get("author")
     return ExternalData(
         "a Minari dataset",
-        checked(Transitions(**joined), robot, str(folder)),
+        Transitions(*(np.concatenate([getattr(part, name) for part in parts]) for name in names)),
         algorithm=str(metadata.get("algorithm_name") or "")[:100],
         authors=tuple(str(author)[:100] for author in authors[:20]) if isinstance(authors, list) else (),
     )
@@ -229,21 +211,15 @@ def _episode(group: h5py.Group, name: str, robot: str, allowance: Allowance) -> 
     observations, length = arrays["observations"], len(arrays["rewards"])
     if len(observations) != length + 1 or not length:
         raise DatasetError(f"{name}: has {len(observations)} observations for {length} steps, not one more")
-    ends = np.zeros(length, bool)
-    ends[-1] = True
-    return checked(
-        Transitions(
-            observations[:-1],
-            arrays["actions"],
-            ends,
-            arrays["terminations"],
-            arrays["truncations"],
-            arrays["rewards"],
-            observations[1:],
-        ),
-        robot,
-        name,
-    )
+    return Transitions(
+        observations=observations[:-1],
+        actions=arrays["actions"],
+        ends=np.arange(length) == length - 1,
+        terminated=arrays["terminations"],
+        truncated=arrays["truncations"],
+        rewards=arrays["rewards"],
+        next_observations=observations[1:],
+    ).checked(robot, name)
 
 
 @contextmanager
@@ -264,8 +240,7 @@ def _array(group: h5py.Group, name: str, where: str, allowance: Allowance) -> Ar
     array = group.get(name) if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
     if not isinstance(array, h5py.Dataset):
         raise DatasetError(f"{where}: {name} is not an array of this file")
-    if array.is_virtual or array.external:
-        raise DatasetError(f"{where}: {name} takes its values from another file")
+    containment.check_array(array.id, f"{where}: {name}")
     if array.shape is None or array.dtype.kind not in "fiub":
         raise DatasetError(f"{where}: {name} holds {str(array.dtype)[:40]}, not numbers")
     # HDF5 reads a whole chunk, which may be larger than the array.

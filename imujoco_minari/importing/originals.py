@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
@@ -16,22 +17,32 @@ from minari.data_collector import EpisodeBuffer
 from imujoco_minari.envs import environment_spec
 from imujoco_minari.errors import DatasetError, ImujocoError, NotFoundError
 from imujoco_minari.importing.archive import Archive
-from imujoco_minari.importing.columns import ARRAY, Layout, read_table
+from imujoco_minari.importing.columns import ARRAY, read_table
 from imujoco_minari.importing.physics import Physics
-from imujoco_minari.importing.safe_unpack import Array, read_npz
-from imujoco_minari.importing.transitions import Cut, Transitions, cut, episodes, fidelity
+from imujoco_minari.importing.safe_unpack import read_npz
+from imujoco_minari.importing.transitions import Cut, cut
 from imujoco_minari.policies import Policy, random_policy, read_actor
 from imujoco_minari.policies.evaluation import evaluate
-from imujoco_minari.policies.rollouts import episode_seed
+from imujoco_minari.policies.rollouts import episode_seed, roll_out
+from imujoco_minari.publishing.collector import StorageCollector
 from imujoco_minari.publishing.publisher import NewDataset, Published, publish_episodes
 from imujoco_minari.storage import file_format
 from imujoco_minari.storage.metadata import provenance
+from imujoco_minari.storage.writer import EpisodeStorage
 from imujoco_minari.variants import EXPERT
-from imujoco_minari.variants.original import CATALOGUE, ORIGINAL, RECOLLECTED, OriginalVariant
+from imujoco_minari.variants.original import (
+    CATALOGUE,
+    ORIGINAL,
+    REBUILT,
+    RECOLLECTED,
+    OriginalVariant,
+    file_name,
+)
 
 AUTHORS = frozenset({"Massimiliano Patacchiola", "Mingfei Sun", "Katja Hofmann", "Richard E. Turner"})
 CODE = "https://github.com/mpatacchiola/imujoco"
 SOURCE = "the iMuJoCo archive (Zenodo record 7971395, Apache-2.0)"
+REBUILT_SOURCE = "an archive in the original's layout that imujoco-minari wrote"
 REFERENCE_EPISODES = 100
 
 
@@ -75,27 +86,41 @@ def import_variant(archive: Archive, variant: OriginalVariant, how: Import) -> P
     Raises:
         ImujocoError: when a file is missing or is not what it must be, or the root cannot be written.
     """
-    source, mjcf = archive.mjcf(variant)
     member = archive.member(variant, "dataset")
     with member.on_disk() as path:
-        table, digest = _table(path, str(member)), file_format.file_sha256(path)
-    transitions, layout, checks = read_table(table, variant.robot, str(member), how.columns)
-    spec = environment_spec(variant, mjcf)
+        arrays, digest = read_npz(path), file_format.file_sha256(path)
+    source, mjcf = archive.mjcf(variant)
+    if ARRAY not in arrays:
+        raise DatasetError(f"{member}: holds no array {ARRAY!r}, but {', '.join(sorted(arrays))[:200]}")
+    transitions, layout, checks = read_table(arrays[ARRAY], variant.robot, str(member), how.columns)
+    spec, rebuilt = environment_spec(variant, mjcf), REBUILT in source
     with Physics(spec) as physics:
         found = cut(transitions, physics)
-        near = fidelity(transitions, found, physics)
-        metadata = _common(variant, spec, "SAC", _description(variant, layout, transitions, found)) | {
+        size = f"{len(found.bounds)} episodes, {len(transitions)} steps"
+        if rebuilt:
+            made, model = f"iMuJoCo data of {variant}, rebuilt, from {REBUILT_SOURCE}: {size}", "archived"
+        else:
+            made, model = f"The original iMuJoCo data of {variant}, from {SOURCE}: {size}", "original"
+            made += ", made by its authors with gym's v3 environments and mujoco-py"
+        description = (
+            f"{made}. Read as the columns {layout}. No seeds are known, so the episodes cannot be replayed. "
+            f"The environment is the {model} model under Gymnasium's v5 rules and today's MuJoCo."
+        )
+        metadata = {
+            **_metadata(variant, spec, "unknown" if rebuilt else "SAC", rebuilt),
+            "description": " ".join((description, *found.notes)),
+            **_reference_maximum(found),
             "mjcf_source": source,
-            **_reference_maximum(transitions, found),
-            "source": f"dataset/sac-{variant}.npz",
+            "source": file_name("dataset", variant),
             "source_sha256": digest,
             "source_columns": str(layout),
             "source_checks": [str(check) for check in checks],
-            "one_step_difference": near.asdict(),
+            "one_step_difference": found.fidelity().asdict(),
         }
-        attributes = _attributes(variant, how.tier) | {file_format.REPLAYABLE: False}
+        attributes = file_format.attributes(variant, how.tier) | {CATALOGUE: ORIGINAL}
+        attributes[file_format.REPLAYABLE] = False
         dataset = NewDataset(variant.dataset_id(how.tier), attributes, mjcf, metadata)
-        return publish_episodes(dataset, spec, episodes(transitions, found, physics), force=how.force)
+        return publish_episodes(dataset, spec, found.episodes(), force=how.force)
 
 
 def recollect(archive: Archive, variant: OriginalVariant, how: Import) -> Published:
@@ -106,70 +131,67 @@ def recollect(archive: Archive, variant: OriginalVariant, how: Import) -> Publis
     """
     source, mjcf = archive.mjcf(variant)
     with archive.member(variant, "policies").on_disk() as path:
-        policy = read_actor(path).for_robot(variant.robot)
-        digest = file_format.file_sha256(path)
-    spec = environment_spec(variant, mjcf)
+        policy, digest = read_actor(path).for_robot(variant.robot), file_format.file_sha256(path)
+    spec, rebuilt = environment_spec(variant, mjcf), REBUILT in source
+    if rebuilt:
+        made, model, older = (
+            f"The iMuJoCo policy of {variant}, rebuilt, from {REBUILT_SOURCE}",
+            "archived",
+            "",
+        )
+    else:
+        made, model = f"The original iMuJoCo policy of {variant}, from {SOURCE}", "original"
+        older = " The original's own episodes were made with gym's v3 environments."
     description = (
-        f"The original iMuJoCo policy of {variant}, from {SOURCE}, rolled out deterministically for "
-        f"{how.episodes} episodes in the original model under Gymnasium's v5 rules and MuJoCo "
-        f"{version('mujoco')}. The original's own episodes were made with gym's v3 environments."
+        f"{made}, rolled out deterministically for {how.episodes} episodes in the {model} model under "
+        f"Gymnasium's v5 rules and MuJoCo {version('mujoco')}.{older}"
     )
-    metadata = _common(variant, spec, policy.algorithm, description) | {
+    metadata = {
+        **_metadata(variant, spec, policy.algorithm, rebuilt),
+        "description": description,
         "mjcf_source": source,
-        "source": f"policies/sac-{variant}.zip",
+        "source": file_name("policies", variant),
         "source_sha256": digest,
         "policy_sha256": policy.sha256,
         "policy_deterministic": policy.deterministic,
         "seed": how.seed,
     }
-    dataset = NewDataset(variant.dataset_id(how.tier), _attributes(variant, how.tier), mjcf, metadata)
+    attributes = file_format.attributes(variant, how.tier) | {CATALOGUE: ORIGINAL}
+    dataset = NewDataset(variant.dataset_id(how.tier), attributes, mjcf, metadata)
     return publish_episodes(dataset, spec, _rollouts(spec, policy, how), force=how.force)
+
+
+class _LastEpisode:
+    """A storage that keeps the last episode that a collector recorded."""
+
+    data_path = Path()
+    episode: EpisodeBuffer
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        self.observation_space, self.action_space = env.observation_space, env.action_space
+
+    def update_episodes(self, episodes: Iterable[EpisodeBuffer]) -> None:
+        """Keep an episode in place of the one before."""
+        (self.episode,) = episodes
 
 
 def _rollouts(spec: EnvSpec, policy: Policy, how: Import) -> Iterator[EpisodeBuffer]:
     env = gym.make(spec)
-    try:
+    last = _LastEpisode(env)
+    with closing(StorageCollector(env, cast(EpisodeStorage, last))) as collector:
         for number in range(how.episodes):
-            yield _rollout(env, policy, episode_seed(how.seed, number))
-    finally:
-        env.close()
+            roll_out(collector, policy, episode_seed(how.seed, number))
+            yield last.episode
 
 
-def _rollout(env: gym.Env[Any, Any], policy: Policy, seed: int) -> EpisodeBuffer:
-    rng = np.random.default_rng(seed)
-    observation, _ = env.reset(seed=seed)
-    observations, steps = [observation], []
-    ended = False
-    while not ended:
-        action = policy.act(observation, rng)
-        observation, reward, terminated, truncated, _ = env.step(action)
-        observations.append(observation)
-        steps.append((action, float(reward), bool(terminated), bool(truncated)))
-        ended = terminated or truncated
-    actions, rewards, terminations, truncations = (np.array(column) for column in zip(*steps, strict=True))
-    return EpisodeBuffer(
-        seed=seed,
-        observations=np.array(observations),
-        actions=actions,
-        rewards=rewards,
-        terminations=terminations,
-        truncations=truncations,
-    )
-
-
-def _attributes(variant: OriginalVariant, tier: str) -> dict[str, Any]:
-    return file_format.attributes(variant, tier) | {CATALOGUE: ORIGINAL}
-
-
-def _common(variant: OriginalVariant, spec: EnvSpec, algorithm: str, description: str) -> dict[str, Any]:
-    """Return the metadata that imported and recollected datasets share."""
-    env, policy = gym.make(spec), random_policy(variant.robot)
-    try:
-        random = evaluate(env, policy, episodes=REFERENCE_EPISODES)
-    finally:
-        env.close()
+def _metadata(variant: OriginalVariant, spec: EnvSpec, algorithm: str, rebuilt: bool) -> dict[str, Any]:
+    """Return the metadata that imported and recollected datasets share, but for their descriptions."""
+    with closing(gym.make(spec)) as env:
+        random = evaluate(env, random_policy(variant.robot), episodes=REFERENCE_EPISODES)
+    by = {} if rebuilt else {"author": sorted(AUTHORS), "code_permalink": CODE}
     return {
-        **provenance(authors=AUTHORS, code=CODE, algorithm=algorithm, description=description),
+        **provenance(algorithm=algorithm, description=""),
+        **by,
         "license": "Apache-2.0",
         "ref_min_score": random.return_mean,
         "num_episodes_average_score": random.episodes,
@@ -177,11 +199,12 @@ def _common(variant: OriginalVariant, spec: EnvSpec, algorithm: str, description
     }
 
 
-def _reference_maximum(transitions: Transitions, found: Cut) -> dict[str, Any]:
+def _reference_maximum(found: Cut) -> dict[str, Any]:
     """Return the archive's own mean return as the score of its expert, where the archive has rewards."""
-    if transitions.rewards is None:
+    rewards = found.transitions.rewards
+    if rewards is None:
         return {}
-    returns = [float(transitions.rewards[start:stop].sum()) for start, stop in found.bounds]
+    returns = [float(rewards[start:stop].sum()) for start, stop in found.bounds]
     return {
         "ref_max_score": float(np.mean(returns)),
         "ref_max_evaluation": {
@@ -191,22 +214,3 @@ def _reference_maximum(transitions: Transitions, found: Cut) -> dict[str, Any]:
             "source": "this dataset's own episodes",
         },
     }
-
-
-def _description(variant: OriginalVariant, layout: Layout, transitions: Transitions, found: Cut) -> str:
-    return " ".join(
-        (
-            f"The original iMuJoCo data of {variant}, from {SOURCE}: {len(found.bounds)} episodes, "
-            f"{len(transitions)} steps, made by its authors with gym's v3 environments and mujoco-py. "
-            f"Read as the columns {layout}. No seeds are known, so the episodes cannot be replayed. "
-            "The environment is the original model under Gymnasium's v5 rules and today's MuJoCo.",
-            *found.notes,
-        )
-    )
-
-
-def _table(path: Path, name: str) -> Array:
-    arrays = read_npz(path)
-    if ARRAY not in arrays:
-        raise DatasetError(f"{name}: holds no array {ARRAY!r}, but {', '.join(sorted(arrays))[:200]}")
-    return arrays[ARRAY]

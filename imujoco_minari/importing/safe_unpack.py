@@ -14,7 +14,7 @@ import struct
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
@@ -148,8 +148,3 @@ def _check_sizes(archive: zipfile.ZipFile, path: Path, max_bytes: int) -> None:
     total = sum(info.file_size for info in infos)
     if total > max_bytes:
         raise DatasetError(f"{path}: would unpack to {total} bytes; the limit is {max_bytes}")
-
-
-def one_of(arrays: Mapping[str, Array], *names: str) -> Array | None:
-    """Return the first array that has one of ``names``, or None."""
-    return next((arrays[name] for name in names if name in arrays), None)

@@ -1,14 +1,13 @@
 """Rows of steps from a file, cut into episodes and completed to what a Minari episode holds.
 
-Files tell differently much: some mark every end, some only falls, some neither record what follows an
-episode's last step nor the rewards. What a file lacks is simulated and said to be so; what it has is kept
-as it is.
+Files differ: some mark every end, some only falls, some record neither what follows an episode's last step
+nor the rewards. What a file lacks is simulated, and a note says so; what it has is kept as it is.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 
 from imujoco_minari.envs.registration import MAX_EPISODE_STEPS
 from imujoco_minari.errors import DatasetError
-from imujoco_minari.importing.physics import Fidelity, Physics
+from imujoco_minari.importing.physics import Physics
 from imujoco_minari.variants import specification
 
 Array = NDArray[Any]
@@ -51,159 +50,170 @@ class Transitions:
     next_observations: Array | None = None
 
     def __len__(self) -> int:
-        return len(self.observations)
+        return len(np.atleast_1d(self.observations))
+
+    def checked(self, robot: str, name: str) -> Transitions:
+        """Return the transitions in the dtypes of the robot's spaces.
+
+        Args:
+            robot: the robot that they must be of.
+            name: what to call them in messages.
+
+        Raises:
+            DatasetError: when they are none, not the robot's in shape, not finite, or no actions of it.
+        """
+        (observation, action), rows = specification(robot).sizes, len(self)
+        if not rows:
+            raise DatasetError(f"{name}: holds no steps")
+        cast: dict[str, Any] = {}
+        for field, what, shape, dtype in (
+            ("observations", "observations", (rows, observation), np.float64),
+            ("actions", "actions", (rows, action), np.float32),
+            ("rewards", "rewards", (rows,), np.float64),
+            ("next_observations", "next observations", (rows, observation), np.float64),
+            ("ends", "ends", (rows,), bool),
+            ("terminated", "terminations", (rows,), bool),
+            ("truncated", "truncations", (rows,), bool),
+        ):
+            array = getattr(self, field)
+            if array is None:
+                continue
+            if array.shape != shape:
+                raise DatasetError(f"{name}: {what} are of shape {array.shape}; {robot} needs {shape}")
+            if not np.isfinite(array).all():
+                raise DatasetError(f"{name}: {what} hold values that are not finite")
+            cast[field] = array.astype(dtype)
+        largest = np.abs(self.actions).max()
+        if largest > 1.0 + 1e-6:
+            raise DatasetError(f"{name}: actions reach {largest:.6g}; those of {robot} lie within -1 and 1")
+        return Transitions(**cast)
+
+
+@dataclass(frozen=True)
+class Fidelity:
+    """How far recorded steps are from the same steps simulated today.
+
+    Each step has a largest deviation of a position (m, rad) and of a velocity (m/s, rad/s), and a deviation
+    of the reward. The fields are the medians and maxima over ``rows`` steps, or None without such values.
+    """
+
+    rows: int
+    position_median: float | None = None
+    position_max: float | None = None
+    velocity_median: float | None = None
+    velocity_max: float | None = None
+    reward_median: float | None = None
+    reward_max: float | None = None
+
+    def asdict(self) -> dict[str, Any]:
+        """Return the fields as a dict for JSON."""
+        return asdict(self)
 
 
 @dataclass(frozen=True)
 class Cut:
-    """Where the episodes of some transitions begin and end, and what had to be inferred.
+    """Transitions, cut into episodes by :func:`cut`.
 
     Attributes:
+        transitions: the transitions.
+        physics: the simulator of their variant. It must be open.
         bounds: first row, and row after the last, of each episode.
         simulate_final: whether the source lacks the observation after an episode's last step.
-        notes: what the source did not say; each a sentence for the dataset's description.
+        notes: what the source did not state; each a sentence for the dataset's description.
     """
 
+    transitions: Transitions
+    physics: Physics
     bounds: tuple[tuple[int, int], ...]
     simulate_final: bool
     notes: tuple[str, ...]
 
+    def episodes(self) -> Iterator[EpisodeBuffer]:
+        """Yield the episodes as Minari stores them."""
+        steps, physics = self.transitions, self.physics
+        for start, stop in self.bounds:
+            observations, actions = steps.observations[start:stop], steps.actions[start:stop]
+            if self.simulate_final or steps.next_observations is None:
+                final = physics.step(observations[-1], actions[-1])[0]
+            else:
+                final = steps.next_observations[stop - 1]
+            if steps.rewards is None:
+                pairs = zip(observations, actions, strict=True)
+                rewards = np.array([physics.step(*pair)[1] for pair in pairs])
+            else:
+                rewards = steps.rewards[start:stop]
+            terminations, truncations = np.zeros(stop - start, bool), np.zeros(stop - start, bool)
+            terminations[-1] = self._terminated(start, stop, final)
+            truncations[-1] = not terminations[-1] or self._truncated(start, stop)
+            yield EpisodeBuffer(
+                observations=np.vstack([observations, final]),
+                actions=actions,
+                rewards=rewards,
+                terminations=terminations,
+                truncations=truncations,
+            )
 
-def checked(transitions: Transitions, robot: str, name: str) -> Transitions:
-    """Return the transitions in the dtypes of the robot's spaces.
+    def fidelity(self) -> Fidelity:
+        """Compare evenly spaced steps of the transitions with the same steps simulated today."""
+        steps, positions = self.transitions, self.physics.positions
+        inner = np.ones(len(steps), bool)
+        inner[[stop - 1 for _, stop in self.bounds]] = False
+        rows = np.flatnonzero(inner)
+        rows = rows[:: max(1, len(rows) // _FIDELITY_ROWS)]
+        rows = rows[self.physics.is_whole(steps.observations[rows])]
+        if not len(rows):
+            return Fidelity(0)
+        pairs = zip(steps.observations[rows], steps.actions[rows], strict=True)
+        after, rewards = zip(*(self.physics.step(*pair) for pair in pairs), strict=True)
+        errors = np.abs(np.array(after) - steps.observations[rows + 1])
+        columns = [errors[:, :positions].max(axis=1), errors[:, positions:].max(axis=1)]
+        if steps.rewards is not None:
+            columns.append(np.abs(np.array(rewards) - steps.rewards[rows]))
+        return Fidelity(len(rows), *(float(f(column)) for column in columns for f in (np.median, np.max)))
 
-    Raises:
-        DatasetError: when they are none, not the robot's in shape, not finite, or no actions of the robot.
-    """
-    sizes, rows = specification(robot).sizes, len(transitions)
-    if not rows:
-        raise DatasetError(f"{name}: holds no steps")
-    for what, array, shape in (
-        ("observations", transitions.observations, (rows, sizes[0])),
-        ("actions", transitions.actions, (rows, sizes[1])),
-        ("rewards", transitions.rewards, (rows,)),
-        ("next observations", transitions.next_observations, (rows, sizes[0])),
-        ("ends", transitions.ends, (rows,)),
-        ("terminations", transitions.terminated, (rows,)),
-        ("truncations", transitions.truncated, (rows,)),
-    ):
-        if array is None:
-            continue
-        if array.shape != shape:
-            raise DatasetError(f"{name}: {what} are of shape {array.shape}; {robot} needs {shape}")
-        if not np.isfinite(array).all():
-            raise DatasetError(f"{name}: {what} hold values that are not finite")
-    if np.abs(transitions.actions).max() > 1.0 + 1e-6:
-        raise DatasetError(
-            f"{name}: actions reach {np.abs(transitions.actions).max():.6g}; "
-            f"those of {robot} lie within -1 and 1"
-        )
-    return Transitions(
-        transitions.observations.astype(np.float64),
-        transitions.actions.astype(np.float32),
-        transitions.ends.astype(bool),
-        _cast(transitions.terminated, bool),
-        _cast(transitions.truncated, bool),
-        _cast(transitions.rewards, np.float64),
-        _cast(transitions.next_observations, np.float64),
-    )
+    def _terminated(self, start: int, stop: int, final: Array) -> bool:
+        """Return whether an episode ended in a fall: as the source says, else by the robot's rules."""
+        if self.transitions.terminated is not None:
+            return bool(self.transitions.terminated[stop - 1])
+        if not self.transitions.ends[stop - 1] or not self.physics.can_terminate:
+            return False
+        # A mark before the time limit can only be a fall; at the limit it says nothing.
+        return stop - start < MAX_EPISODE_STEPS or not self.physics.is_healthy(final)
 
-
-def _cast(array: Array | None, dtype: Any) -> Array | None:
-    return None if array is None else array.astype(dtype)
+    def _truncated(self, start: int, stop: int) -> bool:
+        """Return whether an episode reached its time limit: as the source says, else by its length."""
+        if self.transitions.truncated is not None:
+            return bool(self.transitions.truncated[stop - 1])
+        return stop - start == MAX_EPISODE_STEPS
 
 
 def cut(transitions: Transitions, physics: Physics) -> Cut:
     """Find the episodes: at marked ends, at resets that no mark announces, and at the time limit."""
-    ends = transitions.ends.copy()
     unmarked = _unmarked_resets(transitions, physics)
-    ends[unmarked] = True
-    ends[-1] = True
+    ends = transitions.ends.copy()
+    ends[unmarked] = ends[-1] = True
     bounds, start, limited = [], 0, 0
-    for last in np.flatnonzero(ends):
+    for last in np.flatnonzero(ends).tolist():
         while last + 1 - start > MAX_EPISODE_STEPS:
             bounds.append((start, start + MAX_EPISODE_STEPS))
             start += MAX_EPISODE_STEPS
             limited += 1
-        bounds.append((start, int(last) + 1))
-        start = int(last) + 1
-    notes = []
-    if len(unmarked):
-        notes.append(f"{len(unmarked)} episodes end at a reset that the source does not mark.")
-    if limited:
-        notes.append(
-            f"{limited} episodes end by the limit of {MAX_EPISODE_STEPS} steps, unmarked in the source."
-        )
-    if not transitions.ends[-1] and (bounds[-1][1] - bounds[-1][0]) < MAX_EPISODE_STEPS:
-        notes.append("The last episode is cut where the source ends.")
+        bounds.append((start, last + 1))
+        start = last + 1
     simulate_final = transitions.next_observations is None or _shows_resets(transitions, bounds)
-    if simulate_final:
-        notes.append(
-            "The source has no observation after an episode's last step: "
-            "the final observation of each episode is simulated from the one before it."
-        )
-    if transitions.rewards is None:
-        notes.append(
-            "The source has no rewards: they are simulated, step by step, from observation and action."
-        )
-    return Cut(tuple(bounds), simulate_final, tuple(notes))
-
-
-def episodes(transitions: Transitions, cut: Cut, physics: Physics) -> Iterator[EpisodeBuffer]:
-    """Yield the episodes as Minari stores them."""
-    for start, stop in cut.bounds:
-        observations, actions = transitions.observations[start:stop], transitions.actions[start:stop]
-        final = (
-            physics.step(observations[-1], actions[-1])[0]
-            if cut.simulate_final or transitions.next_observations is None
-            else transitions.next_observations[stop - 1]
-        )
-        rewards = (
-            np.array([physics.step(o, a)[1] for o, a in zip(observations, actions, strict=True)])
-            if transitions.rewards is None
-            else transitions.rewards[start:stop]
-        )
-        terminations, truncations = np.zeros(stop - start, bool), np.zeros(stop - start, bool)
-        terminations[-1] = _terminated(transitions, start, stop, final, physics)
-        truncations[-1] = not terminations[-1] or _truncated(transitions, start, stop)
-        yield EpisodeBuffer(
-            observations=np.vstack([observations, final]),
-            actions=actions,
-            rewards=rewards,
-            terminations=terminations,
-            truncations=truncations,
-        )
-
-
-def fidelity(transitions: Transitions, cut: Cut, physics: Physics) -> Fidelity:
-    """Compare evenly spaced steps of the transitions with the same steps simulated today."""
-    inner = np.ones(len(transitions), bool)
-    inner[[stop - 1 for _, stop in cut.bounds]] = False
-    rows = np.flatnonzero(inner)
-    rows = rows[:: max(1, len(rows) // _FIDELITY_ROWS)]
-    return physics.fidelity(
-        transitions.observations[rows],
-        transitions.actions[rows],
-        transitions.observations[rows + 1],
-        None if transitions.rewards is None else transitions.rewards[rows],
-    )
-
-
-def _terminated(transitions: Transitions, start: int, stop: int, final: Array, physics: Physics) -> bool:
-    """Return whether an episode ended in a terminal state: as the source says, else by the robot's rules."""
-    if transitions.terminated is not None:
-        return bool(transitions.terminated[stop - 1])
-    if not transitions.ends[stop - 1] or not physics.can_terminate:
-        return False
-    # A mark before the time limit can only be a fall; at the limit it says nothing.
-    return stop - start < MAX_EPISODE_STEPS or not physics.is_healthy(final)
-
-
-def _truncated(transitions: Transitions, start: int, stop: int) -> bool:
-    """Return whether an episode reached its time limit: as the source says, else by its length."""
-    if transitions.truncated is not None:
-        return bool(transitions.truncated[stop - 1])
-    return stop - start == MAX_EPISODE_STEPS
+    (start, stop), cut_off = bounds[-1], not transitions.ends[-1]
+    notes = {
+        f"{len(unmarked)} episodes end at a reset that the source does not mark.": len(unmarked),
+        f"{limited} episodes end by the limit of {MAX_EPISODE_STEPS} steps, unmarked in the source.": limited,
+        "The last episode is cut where the source ends.": cut_off and stop - start < MAX_EPISODE_STEPS,
+        "The source has no observation after an episode's last step: "
+        "the final observation of each episode is simulated from the one before it.": simulate_final,
+        "The source has no rewards: they are simulated, step by step, from observation and action.": (
+            transitions.rewards is None
+        ),
+    }
+    true = tuple(note for note, holds in notes.items() if holds)
+    return Cut(transitions, physics, tuple(bounds), simulate_final, true)
 
 
 def _shows_resets(transitions: Transitions, bounds: list[tuple[int, int]]) -> bool:

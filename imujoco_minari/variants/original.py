@@ -1,4 +1,4 @@
-"""The variants of the original archive: their ids.
+"""The variants of the original archive: their ids, and the names of their files.
 
 The archive's grammar of ids is ours, but its bodies and percents are its own and need not be in our
 catalogue. The model of such a variant does not follow from its id: the dataset stores its MJCF text.
@@ -19,6 +19,15 @@ ORIGINAL = "imujoco-original"
 RECOLLECTED = "recollected"
 # The attribute that marks episodes of variants that are not in our grammar; its value is ORIGINAL.
 CATALOGUE = "catalogue"
+
+# A model with these words in a comment is of an archive that this package wrote in the original's layout.
+REBUILT = "iMuJoCo, rebuilt"
+# The parts of the archive -> the beginning and the end of its file names, around a variant's id.
+PARTS: Mapping[str, tuple[str, str]] = {
+    "xml": ("", ".xml"),
+    "policies": ("sac-", ".zip"),
+    "dataset": ("sac-", ".npz"),
+}
 
 _ID = re.compile(
     rf"(?P<robot>{'|'.join(ROBOTS)})-(?P<category>{'|'.join(CATEGORIES)})(?P<sign>inc|dec)"
@@ -81,6 +90,16 @@ class OriginalVariant(Variant):
     def mjcf_names(self) -> tuple[str, ...]:
         """Names of what our variant of the same id changes; empty where there is none."""
         return self.ours.mjcf_names if self.ours else ()
+
+
+def file_name(part: str, variant: Variant) -> str:
+    """Return the path of a variant's file in the archive.
+
+    Example:
+        >>> file_name("dataset", Variant.parse("hopper-massdec_25_leggeom"))
+        'dataset/sac-hopper-massdec_25_leggeom.npz'
+    """
+    return f"{part}/{PARTS[part][0]}{variant}{PARTS[part][1]}"
 
 
 def names_variant(dataset_id: str) -> bool:

@@ -14,7 +14,7 @@ from imujoco_minari.envs.external_mjcf import canonical_foreign_mjcf
 from imujoco_minari.errors import DatasetError
 from imujoco_minari.importing.columns import layout, read_table
 from imujoco_minari.importing.physics import Physics
-from imujoco_minari.importing.transitions import Transitions, cut, episodes, fidelity
+from imujoco_minari.importing.transitions import Transitions, cut
 from imujoco_minari.variants.original import OriginalVariant
 
 HOPPER, CHEETAH = "hopper-massdec_25_leggeom", "halfcheetah-jointdec_25_bfoot"
@@ -45,6 +45,7 @@ def physics() -> Any:
         ("next_observation", "done"),
         ("reward", "next_observation", "done"),
         ("next_observation", "reward", "done"),
+        ("reward", "next_observation", "terminated", "done"),
         ("done",),
     ],
 )
@@ -62,6 +63,15 @@ def test_the_columns_are_detected(variant: str, columns: tuple[str, ...]) -> Non
 def test_float32_tables_are_detected_too() -> None:
     table = original_archive.table(HOPPER, 3, ("reward", "next_observation", "done")).astype(np.float32)
     assert str(read_table(table, "hopper", "t")[1]) == "observation,action,reward,next_observation,done"
+
+
+@pytest.mark.parametrize("variant", [HOPPER, CHEETAH])
+def test_truncations_are_not_taken_for_terminations(variant: str) -> None:
+    """Both are 0 or 1, and 0 within episodes."""
+    columns = ("reward", "next_observation", "truncated", "done")
+    table = original_archive.table(variant, 3, columns)
+    with pytest.raises(DatasetError, match=r"terminated marks the episodes that end early: no, [03] of 3"):
+        read_table(table, variant.partition("-")[0], "t")
 
 
 def test_a_column_that_is_no_reward_is_named_and_asked_for() -> None:
@@ -132,12 +142,12 @@ def test_the_final_observation_is_simulated_where_the_table_has_none(physics: Si
     whole = original_archive.table(HOPPER, 3, ("reward", "next_observation", "done"))
     simulator = physics(HOPPER)
     transitions, _, _ = read_table(whole, "hopper", "t")
-    expected = list(episodes(transitions, cut(transitions, simulator), simulator))
+    expected = list(cut(transitions, simulator).episodes())
     bare = np.delete(whole, np.s_[15:26], axis=1)
     transitions, _, _ = read_table(bare, "hopper", "t")
     found = cut(transitions, simulator)
     assert found.simulate_final
-    for mine, theirs in zip(episodes(transitions, found, simulator), expected, strict=True):
+    for mine, theirs in zip(found.episodes(), expected, strict=True):
         np.testing.assert_allclose(mine.observations, theirs.observations, rtol=0, atol=1e-9)
         np.testing.assert_array_equal(mine.observations[:-1], theirs.observations[:-1])
         assert mine.terminations[-1]
@@ -153,7 +163,7 @@ def test_a_next_observation_that_is_the_next_reset_is_not_taken(physics: Simulat
     transitions, _, _ = read_table(table, "hopper", "t")
     found = cut(transitions, simulator)
     assert found.simulate_final
-    first = next(episodes(transitions, found, simulator))
+    first = next(found.episodes())
     assert not np.allclose(first.observations[-1], table[ends[0] + 1, :11], atol=0.05)
 
 
@@ -162,7 +172,7 @@ def test_missing_rewards_are_simulated(physics: Simulator) -> None:
     simulator = physics(CHEETAH)
     transitions, _, _ = read_table(np.delete(table, 23, axis=1), "halfcheetah", "t")
     found = cut(transitions, simulator)
-    (episode,) = episodes(transitions, found, simulator)
+    (episode,) = found.episodes()
     np.testing.assert_allclose(episode.rewards, table[:, 23], atol=1e-9)
     assert any("no rewards" in note for note in found.notes)
 
@@ -174,7 +184,7 @@ def test_episodes_that_only_the_time_limit_ends_are_found(physics: Simulator) ->
     transitions, _, _ = read_table(table, "halfcheetah", "t")
     found = cut(transitions, simulator)
     assert found.bounds == ((0, 1000), (1000, 2000))
-    first = next(episodes(transitions, found, simulator))
+    first = next(found.episodes())
     assert first.truncations[-1]
     assert not first.terminations.any()
 
@@ -194,7 +204,7 @@ def test_a_reset_that_no_flag_announces_is_found(physics: Simulator) -> None:
         ends[3] - ends[2],
     ]
     assert "1 episodes end at a reset that the source does not mark." in found.notes
-    ended = [(e.terminations[-1], e.truncations[-1]) for e in episodes(transitions, found, simulator)]
+    ended = [(e.terminations[-1], e.truncations[-1]) for e in found.episodes()]
     assert ended == [(True, False), (False, True), (True, False), (True, False)]
 
 
@@ -205,7 +215,7 @@ def test_flags_that_the_source_tells_apart_are_kept(physics: Simulator) -> None:
         rows.observations, rows.actions, rows.ends, np.zeros(len(table), bool), rows.ends, rows.rewards
     )
     simulator = physics(HOPPER)
-    for episode in episodes(cuts, cut(cuts, simulator), simulator):
+    for episode in cut(cuts, simulator).episodes():
         assert not episode.terminations.any()
         assert episode.truncations[-1]
 
@@ -213,7 +223,7 @@ def test_flags_that_the_source_tells_apart_are_kept(physics: Simulator) -> None:
 def test_steps_of_another_variant_are_farther_from_its_simulation(physics: Simulator) -> None:
     transitions, _, _ = read_table(original_archive.table(HOPPER, 5), "hopper", "t")
     own, other = physics(HOPPER), physics("hopper-massinc_200_torsogeom")
-    near, far = (fidelity(transitions, cut(transitions, each), each) for each in (own, other))
+    near, far = (cut(transitions, each).fidelity() for each in (own, other))
     assert near.rows == far.rows > 20
     assert near.position_max is not None
     assert far.position_median is not None

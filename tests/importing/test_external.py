@@ -197,6 +197,9 @@ def test_what_cannot_be_imported_is_named(tmp_path: Path, capsys: pytest.Capture
         path = write_hdf5(tmp_path / "part.hdf5", {key: arrays[key] for key in kept})
         with pytest.raises(DatasetError, match=message):
             read_source(str(path), "hopper")
+    np.savez(tmp_path / "number.npz", observations=0.0, actions=0.0, dones=0.0)
+    with pytest.raises(DatasetError, match=r"flags of shapes \[\(\)\] for 1 steps"):
+        read_source(str(tmp_path / "number.npz"), "hopper")
     with pytest.raises(DatasetError, match=r"observations are of shape \(.*, 11\); walker2d needs"):
         read_source(str(write_hdf5(tmp_path / "h.hdf5", arrays)), "walker2d")
     (tmp_path / "x.txt").write_text("x")
