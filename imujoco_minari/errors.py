@@ -74,6 +74,10 @@ class TransferError(ImujocoError, RuntimeError):
     """An evaluation of policies across variants that cannot be made or gone on with."""
 
 
+class BenchmarkError(ImujocoError, ValueError):
+    """A benchmark's method, budget or results that cannot be used."""
+
+
 class RenderingError(ImujocoError, RuntimeError):
     """A picture or a video that cannot be drawn or written."""
 

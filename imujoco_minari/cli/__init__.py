@@ -10,11 +10,23 @@ Exit codes: 0 done, 1 failed, 2 something that was asked for does not exist, 130
 from __future__ import annotations
 
 # Each import adds its module's commands to the application. The help shows them in this order.
-from imujoco_minari.cli import catalogue, datasets, export, gallery, importing, plot, remote, render, training
+from imujoco_minari.cli import (
+    benchmark,
+    catalogue,
+    datasets,
+    export,
+    gallery,
+    importing,
+    plot,
+    remote,
+    render,
+    training,
+)
 from imujoco_minari.cli.app import app, main
 
 __all__ = [
     "app",
+    "benchmark",
     "catalogue",
     "datasets",
     "export",

@@ -41,16 +41,11 @@ def make_agent(env: Any, settings: Hyperparameters, seed: int, device: str | Non
         DependencyError: if SBX is not installed.
         TrainingError: if JAX has no such device.
     """
-    # Updates are too small for XLA's threads to help, and other jobs need the cores.
-    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
+    import_jax()
     try:
-        import jax
         from sbx import CrossQ
     except ImportError:
         raise missing_dependency("sbx-rl", "train", "training") from None
-    if jax.config.jax_compilation_cache_dir is None:
-        # All variants of a robot use the same few compiled programs.
-        jax.config.update("jax_compilation_cache_dir", str(policies_folder().parent / "compiled"))
     if device is not None:
         _set_default_device(device)
     return CrossQ(
@@ -71,6 +66,24 @@ def make_agent(env: Any, settings: Hyperparameters, seed: int, device: str | Non
         buffer_size=min(settings.max_steps + settings.evaluate_every, 1_000_000),
         seed=seed,
     )
+
+
+def import_jax() -> Any:
+    """Return the module ``jax``, which uses one thread and keeps its compiled programs on the disk.
+
+    Raises:
+        DependencyError: if JAX is not installed.
+    """
+    # Updates are too small for XLA's threads to help, and other jobs need the cores.
+    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
+    try:
+        import jax
+    except ImportError:
+        raise missing_dependency("jax", "train", "training") from None
+    if jax.config.jax_compilation_cache_dir is None:
+        # All variants of a robot use the same few compiled programs.
+        jax.config.update("jax_compilation_cache_dir", str(policies_folder().parent / "compiled"))
+    return jax
 
 
 def _set_default_device(device: str) -> None:

@@ -1,0 +1,69 @@
+"""Whether result lines still match the datasets, the policies and the settings of today."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict
+from functools import cache
+
+from imujoco_minari.benchmark.lines import Line, data_sha256, policies_sha256
+from imujoco_minari.benchmark.methods import METHODS, settings_of
+from imujoco_minari.benchmark.offline import ALGORITHMS, NAME
+from imujoco_minari.errors import DatasetNotFoundError, VariantError
+from imujoco_minari.variants import Variant, held_out
+
+
+def changes(lines: Iterable[Line]) -> list[str]:
+    """Return a sentence for each change since the lines were computed, with the number of lines.
+
+    Lines of your own methods and splits are compared as far as this package knows them.
+    """
+    _digest.cache_clear()
+    counts = Counter(change for line in lines for change in set(_changes(line)))
+    return [f"{change}: {count} lines" for change, count in sorted(counts.items())]
+
+
+def _changes(line: Line) -> Iterator[str]:
+    offline = line["protocol"] == NAME
+    if offline:
+        variants = tuple(map(Variant.parse, line["variants"]))
+        data = [variants[0].dataset_id(line["tier"])]
+        settings = asdict(ALGORITHMS[line["method"]](0, 0)) if line["method"] in ALGORITHMS else None
+    else:
+        variant = Variant.parse(line["variant"])
+        variants, data = (variant.base, variant), [variant.dataset_id(line["tier"])]
+        settings = settings_of(METHODS[line["method"]](0)) if line["method"] in METHODS else None
+        if line["train_sha256"]:
+            yield from _data(_train(line["split"], line["tier"]), line["train_sha256"])
+    yield from _data(data, line["data_sha256"])
+    if policies_sha256(variants) != line["policies_sha256"]:
+        yield f"the expert of {' or '.join(map(str, variants))} has changed"
+    if settings is not None and settings != line["settings"]:
+        yield f"the settings of {line['method']} have changed"
+
+
+def _data(dataset_ids: Sequence[str], digest: str) -> Iterator[str]:
+    if not dataset_ids:
+        return
+    found = _digest(tuple(dataset_ids))
+    if found is None:
+        yield "not compared, because their datasets are not in the Minari root"
+    elif found != digest:
+        first, last = dataset_ids[0], dataset_ids[-1]
+        yield f"{first} has changed" if first == last else f"a dataset from {first} to {last} has changed"
+
+
+@cache
+def _digest(dataset_ids: tuple[str, ...]) -> str | None:
+    try:
+        return data_sha256(dataset_ids)
+    except DatasetNotFoundError:
+        return None
+
+
+def _train(split: str, tier: str) -> list[str]:
+    try:
+        return [Variant.parse(variant).dataset_id(tier) for variant in held_out(split).train]
+    except VariantError:
+        return []

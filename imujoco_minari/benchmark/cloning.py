@@ -1,0 +1,163 @@
+"""Methods of behaviour cloning: from scratch, from the base's expert, and from all training variants.
+
+Each starts from a network and minimises the squared error to the demonstrated actions. They differ in
+where the network comes from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from imujoco_minari.benchmark.networks import (
+    HIDDEN,
+    Array,
+    Network,
+    bind,
+    clone,
+    new_network,
+    of_actor,
+    to_actor,
+)
+from imujoco_minari.benchmark.protocol import STEPS
+from imujoco_minari.loading import Arrays, Origin, Statistics
+from imujoco_minari.loading.statistics import measure
+from imujoco_minari.policies import Actor, expert_actor
+from imujoco_minari.variants import Variant, specification
+
+# An observation that hardly varies in the data says little, but a large number of it would say much.
+_LEAST_STD = 0.01
+
+
+@dataclass
+class Scratch:
+    """Behaviour cloning of the demonstrations alone, from random weights.
+
+    Attributes:
+        seed: seed of the weights and of the batches.
+        rate: learning rate.
+    """
+
+    seed: int = 0
+    rate: float = 1e-3
+
+    def adapt(self, demonstrations: Arrays) -> Mapping[int, Actor]:
+        """Return the policies after each number of steps on the demonstrations."""
+        statistics = robust_statistics(demonstrations.observations)
+        network = new_network(_sizes(demonstrations, HIDDEN), self.seed)
+        return fine_tune(network, statistics, demonstrations, self.rate, self.seed, STEPS[1:])
+
+
+@dataclass
+class BaseExpert:
+    """The base robot's expert: as it is after 0 steps, then fine-tuned on the demonstrations.
+
+    Attributes:
+        seed: seed of the batches.
+        rate: learning rate.
+    """
+
+    seed: int = 0
+    rate: float = 3e-4
+
+    def adapt(self, demonstrations: Arrays) -> Mapping[int, Actor]:
+        """Return the policies after each number of steps on the demonstrations."""
+        size = demonstrations.observations.shape[1]
+        expert = expert_actor(Variant.parse(demonstrations.table[0].variant).base)
+        raw = Statistics(np.zeros(size), np.ones(size))
+        return fine_tune(of_actor(expert), raw, demonstrations, self.rate, self.seed, STEPS)
+
+
+@dataclass
+class MultiVariant:
+    """One policy cloned from all training variants: as it is after 0 steps, then fine-tuned.
+
+    Attributes:
+        seed: seed of the weights and of the batches.
+        rate: learning rate of the fine-tuning.
+        fit_rate: learning rate on the training variants.
+        fit_steps: steps on the training variants.
+        told: give the policy the variant's parameters (:func:`parameters`) beside the observation. Such a
+            policy is not fine-tuned: it is a bound on what a method can infer from demonstrations.
+    """
+
+    seed: int = 0
+    rate: float = 3e-4
+    fit_rate: float = 1e-3
+    fit_steps: int = 20_000
+    told: bool = False
+    _network: Network = field(default_factory=list, init=False, repr=False)
+    _statistics: Statistics | None = field(default=None, init=False, repr=False)
+
+    def fit(self, train: Arrays) -> None:
+        """Clone the behaviour of all training variants."""
+        self._statistics = robust_statistics(train.observations)
+        inputs = self._statistics.normalize(train.observations)
+        sizes = _sizes(train, HIDDEN)
+        if self.told:
+            context = np.array([parameters(origin) for origin in train.table], np.float32)
+            inputs = np.concatenate((inputs, context[train.variant_index]), axis=1)
+            sizes = (inputs.shape[1], *sizes[1:])
+        network = new_network(sizes, self.seed)
+        steps = self.fit_steps
+        self._network = clone(
+            network, inputs, train.actions, [steps], rate=self.fit_rate, seed=self.seed, batch=256
+        )[steps]
+
+    def adapt(self, demonstrations: Arrays) -> Mapping[int, Actor]:
+        """Return the policies after each number of steps on the demonstrations."""
+        assert self._statistics is not None
+        if self.told:
+            network = bind(self._network, parameters(demonstrations.table[0]))
+            return {0: to_actor(network, self._statistics, "behaviour cloning")}
+        return fine_tune(self._network, self._statistics, demonstrations, self.rate, self.seed, STEPS)
+
+
+def fine_tune(
+    network: Network,
+    statistics: Statistics,
+    demonstrations: Arrays,
+    rate: float,
+    seed: int,
+    checkpoints: tuple[int, ...],
+) -> dict[int, Actor]:
+    """Clone the demonstrations from a given network, and return the policy after each number of steps.
+
+    Args:
+        network: takes observations that ``statistics`` normalise.
+        statistics: of the observations.
+        demonstrations: the data.
+        rate: learning rate.
+        seed: seed of the batches.
+        checkpoints: the numbers of steps.
+    """
+    inputs = statistics.normalize(demonstrations.observations)
+    networks = clone(network, inputs, demonstrations.actions, checkpoints, rate=rate, seed=seed)
+    return {steps: to_actor(found, statistics, "behaviour cloning") for steps, found in networks.items()}
+
+
+def parameters(origin: Origin) -> Array:
+    """Return a variant's parameters: the relative change of each body of each category, mostly zeros.
+
+    Example:
+        >>> parameters(Origin(robot="hopper", category="mass", body="leggeom", percent=-25))[:4]
+        array([ 0.  ,  0.  , -0.25,  0.  ], dtype=float32)
+    """
+    changes = specification(origin.robot).changes
+    places = [(category, body) for category, change in changes.items() for body in change.bodies]
+    values = np.zeros(len(places), np.float32)
+    if (origin.category, origin.body) in places:
+        values[places.index((origin.category, origin.body))] = origin.percent / 100
+    return values
+
+
+def robust_statistics(observations: Array) -> Statistics:
+    """Return the statistics of observations, with standard deviations of at least 0.01."""
+    found = measure(observations)
+    return Statistics(found.mean, np.maximum(found.std, _LEAST_STD))
+
+
+def _sizes(data: Arrays, hidden: tuple[int, ...]) -> tuple[int, ...]:
+    return (data.observations.shape[1], *hidden, data.actions.shape[1])

@@ -1,0 +1,51 @@
+"""What the offline algorithms with critics share: their data, their values and their target networks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from imujoco_minari.benchmark.networks import HIDDEN, Array, Network, forward, new_network, padded
+from imujoco_minari.loading import Arrays, Statistics
+from imujoco_minari.training.agents import import_jax
+
+# Observations, actions, rewards, next observations and terminations of a batch.
+Transitions = tuple[Any, ...]
+
+
+def transition_data(data: Arrays, statistics: Statistics, reward_scale: float = 1.0) -> tuple[Any, ...]:
+    """Return the padded columns of the data, with normalised observations, and the number of rows."""
+    columns: tuple[Array, ...] = (
+        statistics.normalize(data.observations),
+        data.actions,
+        data.rewards * reward_scale,
+        statistics.normalize(data.next_observations),
+        data.terminations,
+    )
+    return (*map(padded, columns), np.int32(len(data)))
+
+
+def draw_transitions(key: Any, data: tuple[Any, ...], batch: int) -> Transitions:
+    """Return random transitions, drawn with replacement, from :func:`transition_data`."""
+    *columns, rows = data
+    chosen = import_jax().random.randint(key, (batch,), 0, rows)
+    return tuple(column[chosen] for column in columns)
+
+
+def new_critics(observation: int, action: int, seed: int) -> tuple[Network, Network]:
+    """Return two critics with different weights."""
+    sizes = (observation + action, *HIDDEN, 1)
+    return new_network(sizes, seed + 1000), new_network(sizes, seed + 2000)
+
+
+def values(critics: tuple[Network, Network], observations: Any, actions: Any) -> tuple[Any, Any]:
+    """Return the values (batch,) of actions by both critics."""
+    inputs = import_jax().numpy.concatenate((observations, actions), axis=-1)
+    first, second = critics
+    return forward(first, inputs)[:, 0], forward(second, inputs)[:, 0]
+
+
+def follow(target: Any, network: Any, share: float) -> Any:
+    """Return the target network, moved towards the network by a share of the way."""
+    return import_jax().tree.map(lambda old, new: old + share * (new - old), target, network)

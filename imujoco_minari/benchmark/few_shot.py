@@ -1,0 +1,240 @@
+"""Few-shot imitation: the cells of the benchmark, and how they run.
+
+A cell is a pure function of method, split, tier, variant, budget and seed, and of the digests and versions
+that its line states.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from imujoco_minari.benchmark import protocol
+from imujoco_minari.benchmark.evaluating import episode_returns, relative_error
+from imujoco_minari.benchmark.lines import (
+    Line,
+    append_line,
+    data_sha256,
+    identity,
+    policies_sha256,
+    read_lines,
+    references,
+    versions,
+)
+from imujoco_minari.benchmark.methods import BOUNDS, Method, NewMethod, settings_of
+from imujoco_minari.benchmark.protocol import Budget, draw_demonstrations
+from imujoco_minari.errors import BenchmarkError, JobError
+from imujoco_minari.loading import arrays
+from imujoco_minari.parallel import run_jobs
+from imujoco_minari.variants import EXPERT, HeldOut, Variant
+
+FILE = "few-shot.jsonl"
+# The attributes that name a cell. A line adds settings, digests and versions.
+CELL = ("protocol", "method", "split", "tier", "variant", "budget", "seed")
+
+# Measured on one core, with nothing else running.
+SECONDS_PER_CELL = 5.0
+SECONDS_PER_FIT = {"multi-variant": 40.0, "told": 40.0, "maml": 65.0, "set-encoder": 30.0}
+
+
+@dataclass(frozen=True)
+class FewShotGrid:
+    """The cells of a run: all combinations of what is listed here.
+
+    Attributes:
+        methods: maps names to methods.
+        splits: the splits; each is within one robot.
+        tiers: tiers of the demonstrations and of the training data.
+        budgets: how much of a held-out variant is demonstrated.
+        seeds: seeds of the draws and of the methods.
+        variants: ids of the held-out variants to use; None for all of a split.
+    """
+
+    methods: Mapping[str, NewMethod]
+    splits: Sequence[HeldOut]
+    tiers: Sequence[str] = (EXPERT,)
+    budgets: Sequence[Budget] = protocol.BUDGETS
+    seeds: Sequence[int] = tuple(range(protocol.SEEDS))
+    variants: Sequence[str] | None = None
+
+    def __post_init__(self) -> None:
+        held_out = {variant for split in self.splits for variant in split.test}
+        unknown = sorted(set(self.variants or ()) - held_out)
+        if unknown:
+            raise BenchmarkError(f"{unknown[0]} is not held out; valid: {', '.join(sorted(held_out))}")
+
+    def held_out(self, split: HeldOut) -> list[str]:
+        """Return the held-out variants of a split that are in the grid."""
+        return [variant for variant in split.test if self.variants is None or variant in self.variants]
+
+    def cells(self) -> int:
+        """Return the number of cells."""
+        each = sum(1 if name in BOUNDS else len(self.budgets) for name in self.methods)
+        held_out = sum(len(self.held_out(split)) for split in self.splits)
+        return each * held_out * len(self.tiers) * len(self.seeds)
+
+    def seconds(self) -> float:
+        """Return about how long one process computes the cells."""
+        fits = sum(SECONDS_PER_FIT.get(name, 0.0) for name in self.methods)
+        return self.cells() * SECONDS_PER_CELL + fits * len(self.splits) * len(self.tiers) * len(self.seeds)
+
+    def dataset_ids(self) -> list[str]:
+        """Return the ids of the datasets that the cells need."""
+        wanted: list[str] = []
+        for split in self.splits:
+            learns = any(hasattr(new(0), "fit") for new in self.methods.values())
+            variants = [*(split.train if learns else ()), *self.held_out(split)]
+            wanted += [Variant.parse(variant).dataset_id(tier) for tier in self.tiers for variant in variants]
+        return list(dict.fromkeys(wanted))
+
+
+@dataclass(frozen=True)
+class _Task:
+    """The cells of one method, seed and variant, with what their lines have in common."""
+
+    new: NewMethod
+    seed: int
+    train: tuple[str, ...]
+    dataset_id: str
+    lines: tuple[Line, ...]
+
+
+def run_few_shot(
+    grid: FewShotGrid,
+    results: Path,
+    *,
+    jobs: int = 1,
+    on_cells: Callable[[int], None] = lambda cells: None,
+) -> list[Line]:
+    """Compute the cells of a grid that a results folder lacks, and return the lines of all of them.
+
+    Each line is written as soon as it is known, so a killed run continues where it stopped.
+
+    Args:
+        grid: the cells.
+        results: folder of ``few-shot.jsonl``.
+        jobs: number of processes. The results do not depend on it.
+        on_cells: called with the number of cells that have become known.
+
+    Raises:
+        DatasetNotFoundError: if a dataset is not in the Minari root.
+        BenchmarkError: if a variant has no expert, or a process was lost.
+        StorageError: if a line cannot be written.
+
+    Example:
+        >>> grid = FewShotGrid({"mine": MyMethod}, [held_out("hopper-random-v1")])  # doctest: +SKIP
+        >>> lines = run_few_shot(grid, Path("results"))  # doctest: +SKIP
+    """
+    path = results / FILE
+    known = {identity(line): line for line in read_lines(path)}
+    wanted = list(_tasks(grid))
+    done = [known[identity(line)] for task in wanted for line in task.lines if identity(line) in known]
+    on_cells(len(done))
+    missing = []
+    for task in wanted:
+        lines = tuple(line for line in task.lines if identity(line) not in known)
+        if lines:
+            missing.append(_Task(task.new, task.seed, task.train, task.dataset_id, lines))
+    # Methods are fitted shortly before they are used, so that a killed run loses little.
+    for _, chunk in groupby(
+        missing, key=lambda task: [task.lines[0][key] for key in ("split", "tier", "seed")]
+    ):
+        tasks = list(chunk)
+        for line in _run_chunk(tasks, jobs):
+            append_line(path, line)
+            done.append(line)
+            on_cells(1)
+    return done
+
+
+def _run_chunk(tasks: Sequence[_Task], jobs: int) -> Iterator[Line]:
+    """Fit the methods of the tasks once each, and yield the lines of the tasks."""
+    names = list(dict.fromkeys(task.lines[0]["method"] for task in tasks))
+    first = {name: next(task for task in tasks if task.lines[0]["method"] == name) for name in names}
+    fitted: dict[str, Method] = {}
+    for number, method in run_jobs(_fit, list(first.values()), jobs=jobs):
+        fitted[names[number]] = _found(method, names[number])
+    work = [(fitted[task.lines[0]["method"]], task) for task in tasks]
+    for number, lines in run_jobs(_run_task, work, jobs=jobs):
+        yield from _found(lines, tasks[number].dataset_id)
+
+
+def _found(result: Any, name: str) -> Any:
+    if isinstance(result, JobError):
+        raise BenchmarkError(f"{name}: {result}")
+    return result
+
+
+def _tasks(grid: FewShotGrid) -> Iterator[_Task]:
+    stated = {
+        "protocol": protocol.NAME,
+        "episodes": protocol.EVALUATION_EPISODES,
+        "versions": versions(),
+    }
+    for split in grid.splits:
+        for tier in grid.tiers:
+            train = tuple(Variant.parse(variant).dataset_id(tier) for variant in split.train)
+            for seed in grid.seeds:
+                for name, new in grid.methods.items():
+                    method = new(seed)
+                    learns = hasattr(method, "fit")
+                    common = {
+                        **stated,
+                        "method": name,
+                        "settings": settings_of(method),
+                        "split": split.name,
+                        "tier": tier,
+                        "seed": seed,
+                        "train_sha256": data_sha256(train) if learns else "",
+                    }
+                    budgets = grid.budgets[:1] if name in BOUNDS else grid.budgets
+                    for variant in map(Variant.parse, grid.held_out(split)):
+                        dataset_id = variant.dataset_id(tier)
+                        own = {
+                            **common,
+                            "variant": str(variant),
+                            "data_sha256": data_sha256([dataset_id]),
+                            "policies_sha256": policies_sha256((variant.base, variant)),
+                        }
+                        lines = tuple({**own, "budget": str(budget)} for budget in budgets)
+                        yield _Task(new, seed, train if learns else (), dataset_id, lines)
+
+
+def _fit(task: _Task) -> Method:
+    method = task.new(task.seed)
+    if task.train:
+        # The first episodes of each dataset: loading all of them would take gigabytes.
+        data = arrays(list(task.train), portion=(0.0, 1.0), dtype=np.float32)
+        numbers = [np.flatnonzero(data.episode_variants == place) for place in range(len(data.table))]
+        kept = np.concatenate([found[: protocol.TRAIN_EPISODES] for found in numbers])
+        method.fit(data.select(np.sort(kept)))  # type: ignore[attr-defined]
+    return method
+
+
+def _run_task(work: tuple[Method, _Task]) -> list[Line]:
+    method, task = work
+    variant = Variant.parse(task.lines[0]["variant"])
+    data = arrays(task.dataset_id, dtype=np.float32)
+    evaluated: dict[Any, list[float]] = {}
+    lines: list[Line] = []
+    for line in task.lines:
+        demonstrations, query = draw_demonstrations(data, Budget.parse(line["budget"]), task.seed)
+        start = time.process_time()
+        adapted = method.adapt(demonstrations)
+        adapting = time.process_time() - start
+        found = {}
+        for steps, policy in (adapted if isinstance(adapted, Mapping) else {0: adapted}).items():
+            # Several budgets share the policy after 0 steps.
+            key = getattr(policy, "sha256", None) or id(policy)
+            if key not in evaluated:
+                evaluated[key] = episode_returns(policy, variant)
+            found[str(steps)] = {"returns": evaluated[key], "error": relative_error(policy, query)}
+        seconds = [round(adapting, 2), round(time.process_time() - start - adapting, 2)]
+        lines.append({**line, "references": references(variant), "results": found, "seconds": seconds})
+    return lines

@@ -1,0 +1,130 @@
+"""Result lines: one JSON object for each cell, with everything that decided the result.
+
+A line's *identity* is all of it but what was measured. A cell is computed once for each identity: when a
+dataset, a policy, a setting or a version changes, the old line no longer matches and the cell runs again.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from functools import cache
+from hashlib import sha256
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from imujoco_minari.errors import BenchmarkError, PolicyNotFoundError, StorageError
+from imujoco_minari.policies import expert_actor
+from imujoco_minari.policies.references import reference_scores
+from imujoco_minari.storage import minari_root
+from imujoco_minari.storage.metadata import read_metadata
+from imujoco_minari.storage.missing import not_in_root
+from imujoco_minari.variants import Variant
+
+Line = Mapping[str, Any]
+
+_MEASURED = ("references", "results", "seconds")
+_PACKAGES = ("imujoco-minari", "mujoco", "gymnasium", "numpy", "jax", "optax")
+
+
+def read_lines(path: Path) -> list[Line]:
+    """Return the lines of a results file; none if it does not exist.
+
+    The last line may be incomplete, because a run was killed: it is left out.
+
+    Raises:
+        BenchmarkError: if another line is not a JSON object.
+    """
+    if not path.exists():
+        return []
+    *whole, _ = path.read_text("utf-8").split("\n")
+    lines = []
+    for number, text in enumerate(whole, start=1):
+        try:
+            line = json.loads(text)
+            line["results"].items()
+        except (ValueError, KeyError, TypeError, AttributeError):
+            raise BenchmarkError(f"{path}, line {number}: not a result of the benchmark") from None
+        lines.append(line)
+    return lines
+
+
+def append_line(path: Path, line: Line) -> None:
+    """Add a line to a results file. It removes an incomplete last line.
+
+    Raises:
+        StorageError: if the file cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("ab+") as file:
+            end = file.tell()
+            file.seek(max(0, end - 2**20))
+            tail = file.read()
+            file.truncate(end - (len(tail) - tail.rfind(b"\n") - 1))
+            file.write(json.dumps(line, separators=(",", ":")).encode() + b"\n")
+    except OSError as error:
+        raise StorageError(f"cannot write {path}: {error.strerror or error}") from None
+
+
+def identity(line: Line) -> str:
+    """Return the identity of a line as text: all of it but what was measured."""
+    return json.dumps({key: line[key] for key in sorted(line) if key not in _MEASURED})
+
+
+def latest(lines: Iterable[Line], keys: tuple[str, ...]) -> list[Line]:
+    """Return the last line of each cell, where ``keys`` identify a cell."""
+    return list({tuple(json.dumps(line.get(key)) for key in keys): line for line in lines}.values())
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of the packages that decide a result."""
+    found = {}
+    for name in _PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def data_sha256(dataset_ids: Iterable[str]) -> str:
+    """Return a digest of the contents of published datasets; that of one dataset is its own.
+
+    Raises:
+        DatasetNotFoundError: if one is not in the Minari root.
+    """
+    digests = [_content_sha256(dataset_id) for dataset_id in dataset_ids]
+    return digests[0] if len(digests) == 1 else sha256(" ".join(digests).encode()).hexdigest()
+
+
+def _content_sha256(dataset_id: str) -> str:
+    if not minari_root.exists(dataset_id):
+        raise not_in_root(dataset_id)
+    return str(read_metadata(minari_root.dataset_folder(dataset_id) / "data").get("content_sha256", ""))
+
+
+@cache
+def policies_sha256(variants: tuple[Variant, ...]) -> str:
+    """Return a digest of the experts of variants; a variant without an expert counts too."""
+    digests = []
+    for variant in variants:
+        try:
+            digests.append(expert_actor(variant).sha256)
+        except PolicyNotFoundError:
+            digests.append("none")
+    return sha256(" ".join(digests).encode()).hexdigest()
+
+
+@cache
+def references(variant: Variant) -> tuple[float, float]:
+    """Return the returns of a variant that are scored 0 and 1: a random policy's and its expert's.
+
+    Raises:
+        BenchmarkError: if the variant has no expert.
+    """
+    scores = reference_scores(variant)
+    if "ref_max_score" not in scores:
+        raise BenchmarkError(f"{variant} has no expert to score by: train one with `imujoco train {variant}`")
+    return scores["ref_min_score"], scores["ref_max_score"]

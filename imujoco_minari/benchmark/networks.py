@@ -1,0 +1,249 @@
+"""Multilayer perceptrons in JAX, and gradient descent on them.
+
+Every method of the benchmark trains such networks. A trained policy network becomes an
+:class:`~imujoco_minari.policies.Actor`, so that evaluating it needs neither JAX nor the method.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cache
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imujoco_minari.loading.statistics import Statistics
+from imujoco_minari.policies import Actor
+from imujoco_minari.training.agents import import_jax
+
+Array = NDArray[Any]
+# One (weight (in, out), bias (out,)) for each layer.
+Network = list[tuple[Any, Any]]
+# Returns the loss of a network on a random batch: (network, key, data) -> scalar.
+Loss = Callable[[Any, Any, Any], Any]
+# Returns the next state of an iteration: (state, key, data) -> state.
+Update = Callable[[Any, Any, Any], Any]
+
+HIDDEN = (256, 256)
+BATCH = 128
+_LEAST_ROWS = 1024
+
+
+def new_network(sizes: Sequence[int], seed: int) -> Network:
+    """Return a network with random weights.
+
+    Args:
+        sizes: number of inputs, of units in each hidden layer, and of outputs.
+        seed: seed of the weights, which are uniform with the variance 1 / inputs; biases are zero.
+    """
+    rng = np.random.default_rng(seed)
+    return [
+        (
+            rng.uniform(-1.0, 1.0, (inputs, outputs)).astype(np.float32) * np.float32((3.0 / inputs) ** 0.5),
+            np.zeros(outputs, np.float32),
+        )
+        for inputs, outputs in pairwise(sizes)
+    ]
+
+
+def forward(network: Network, inputs: Any) -> Any:
+    """Return the outputs (..., out) for inputs (..., in) of JAX or NumPy, with ReLU between the layers."""
+    for weight, bias in network[:-1]:
+        outputs = inputs @ weight + bias
+        inputs = outputs * (outputs > 0)
+    weight, bias = network[-1]
+    return inputs @ weight + bias
+
+
+def bind(network: Network, inputs: Array) -> Network:
+    """Fix the last inputs of a network: they become part of the first layer's bias.
+
+    Args:
+        network: takes n inputs.
+        inputs: values of the last m inputs, (m,).
+
+    Returns:
+        A network that takes the first n - m inputs and gives the same outputs.
+    """
+    (weight, bias), *rest = network
+    free = len(weight) - len(inputs)
+    return [(np.asarray(weight)[:free], np.asarray(bias + inputs @ weight[free:])), *rest]
+
+
+def to_actor(network: Network, statistics: Statistics, algorithm: str) -> Actor:
+    """Return the deterministic policy ``tanh(network(normalised observation))``.
+
+    Args:
+        network: maps normalised observations to actions before the tanh.
+        statistics: of the observations; they become part of the first layer.
+        algorithm: name of the algorithm that trained the network.
+    """
+    (weight, bias), *rest = [(np.asarray(w, np.float64), np.asarray(b, np.float64)) for w, b in network]
+    scaled = weight / statistics.std[:, None]
+    layers = [(scaled, bias - statistics.mean @ scaled), *rest]
+    names = [*(f"latent_pi.{2 * i}" for i in range(len(rest))), "mu"]
+    weights: dict[str, Array] = {}
+    for name, (w, b) in zip(names, layers, strict=True):
+        weights |= {f"{name}.weight": w.T.astype(np.float32), f"{name}.bias": b.astype(np.float32)}
+    # A deterministic actor does not use its deviations, but its format has them.
+    weights |= {f"log_std.{part}": np.zeros_like(weights[f"mu.{part}"]) for part in ("weight", "bias")}
+    return Actor(weights, algorithm)
+
+
+def of_actor(actor: Actor) -> Network:
+    """Return the network of an actor's mean; it takes observations that are not normalised."""
+    names = [*(f"latent_pi.{2 * i}" for i in range(len(actor.hidden_sizes))), "mu"]
+    return [(actor.weights[f"{name}.weight"].T, actor.weights[f"{name}.bias"]) for name in names]
+
+
+def iterate(
+    update: Update, state: Any, data: tuple[Any, ...], checkpoints: Sequence[int], seed: int
+) -> dict[int, Any]:
+    """Apply an update again and again, and return the state after each of some numbers of steps.
+
+    Args:
+        update: returns the next state. JAX compiles once for each function: use one of a module, or a
+            cached one.
+        state: a tree of arrays.
+        data: arrays for the update. :func:`padded` keeps the number of compiled programs small.
+        checkpoints: numbers of steps; 0 gives the state itself.
+        seed: seed of the keys that the update gets.
+    """
+    jax = import_jax()
+    run = _compiled(update)
+    state, key = jax.tree.map(jax.numpy.asarray, state), jax.random.key(seed)
+    data = jax.tree.map(jax.numpy.asarray, data)
+    found, done = {}, 0
+    for checkpoint in sorted(set(checkpoints)):
+        state, key = run(state, key, data, checkpoint - done)
+        done = checkpoint
+        found[checkpoint] = jax.tree.map(np.asarray, state)
+    return found
+
+
+def descend(
+    loss: Loss, network: Any, data: tuple[Any, ...], checkpoints: Sequence[int], *, rate: float, seed: int
+) -> dict[int, Any]:
+    """Minimise a loss with Adam, and return the network after each of some numbers of steps.
+
+    Args:
+        loss: returns the loss on a random batch: (network, key, data) -> scalar.
+        network: a network, or any tree of arrays that the loss takes.
+        data: arrays for the loss.
+        checkpoints: numbers of steps; 0 gives the network itself.
+        rate: learning rate.
+        seed: seed of the batches.
+    """
+    import_jax()
+    state = (network, adam().init(network), np.float32(rate))
+    states = iterate(_adam_step(loss), state, data, checkpoints, seed)
+    return {steps: network for steps, (network, _, _) in states.items()}
+
+
+def clone(
+    network: Network,
+    inputs: Array,
+    actions: Array,
+    checkpoints: Sequence[int],
+    *,
+    rate: float,
+    seed: int,
+    batch: int = BATCH,
+) -> dict[int, Network]:
+    """Clone behaviour: minimise the squared error of ``tanh(network(inputs))`` to the actions.
+
+    Args:
+        network: the network to start from.
+        inputs: (N, in).
+        actions: (N, act), in [-1, 1].
+        checkpoints: numbers of steps; 0 gives the network itself.
+        rate: learning rate.
+        seed: seed of the batches.
+        batch: rows of a batch, drawn with replacement.
+    """
+    data = (padded(inputs), padded(actions), len(inputs))
+    return descend(cloning_loss(batch), network, data, checkpoints, rate=rate, seed=seed)
+
+
+@cache
+def cloning_loss(batch: int) -> Loss:
+    """Return the loss of behaviour cloning on batches of some size; its data are (inputs, actions, rows)."""
+    jax = import_jax()
+
+    def loss(network: Network, key: Any, data: tuple[Any, ...]) -> Any:
+        inputs, actions, rows = data
+        chosen = jax.random.randint(key, (batch,), 0, rows)
+        return squared_error(network, inputs[chosen], actions[chosen])
+
+    return loss
+
+
+def squared_error(network: Network, inputs: Any, actions: Any) -> Any:
+    """Return the mean squared error of ``tanh(network(inputs))`` to the actions."""
+    return ((import_jax().numpy.tanh(forward(network, inputs)) - actions) ** 2).mean()
+
+
+def padded(array: Array) -> Array:
+    """Return rows as float32, with zeros below them: the number of rows becomes a power of two."""
+    size = _LEAST_ROWS
+    while size < len(array):
+        size *= 2
+    whole = np.zeros((size, *array.shape[1:]), np.float32)
+    whole[: len(array)] = array
+    return whole
+
+
+def minimise(loss: Callable[[Any], Any], network: Any, moments: Any, rate: Any) -> tuple[Any, Any]:
+    """Return the network and Adam's moments after one step."""
+    jax = import_jax()
+    changes, moments = adam().update(jax.grad(loss)(network), moments)
+    return jax.tree.map(lambda old, change: old - rate * change, network, changes), moments
+
+
+@cache
+def adam() -> Any:
+    """Return Adam's rule without a learning rate."""
+    import optax
+
+    return optax.scale_by_adam()
+
+
+def draw_rows(key: Any, starts: Any, counts: Any, number: int) -> Any:
+    """Return numbers of random rows (blocks, number): some of each block of rows, with replacement.
+
+    Args:
+        key: a key of JAX's random numbers.
+        starts: first row of each block, (blocks,).
+        counts: number of rows of each block, (blocks,).
+        number: how many rows of each.
+    """
+    jax = import_jax()
+    share = jax.random.uniform(key, (len(starts), number))
+    return starts[:, None] + jax.numpy.minimum((share * counts[:, None]).astype(int), counts[:, None] - 1)
+
+
+@cache
+def _compiled(update: Update) -> Any:
+    jax = import_jax()
+
+    def run(state: Any, key: Any, data: Any, steps: Any) -> Any:
+        def step(_: Any, carry: Any) -> Any:
+            state, key = carry
+            key, own = jax.random.split(key)
+            return update(state, own, data), key
+
+        return jax.lax.fori_loop(0, steps, step, (state, key))
+
+    return jax.jit(run)
+
+
+@cache
+def _adam_step(loss: Loss) -> Update:
+    def update(state: Any, key: Any, data: Any) -> Any:
+        network, moments, rate = state
+        network, moments = minimise(lambda network: loss(network, key, data), network, moments, rate)
+        return network, moments, rate
+
+    return update

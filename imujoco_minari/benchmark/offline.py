@@ -1,0 +1,202 @@
+"""Offline reinforcement learning on the bases' datasets: the cells ``offline-v1``, and how they run.
+
+A cell trains one algorithm on one dataset with one seed, and evaluates the policy on the base robot. A
+policy of ``medium-expert`` data is evaluated on some variants too, which its data do not contain.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from imujoco_minari.benchmark.evaluating import episode_returns
+from imujoco_minari.benchmark.iql import Iql
+from imujoco_minari.benchmark.lines import (
+    Line,
+    append_line,
+    data_sha256,
+    identity,
+    policies_sha256,
+    read_lines,
+    references,
+    versions,
+)
+from imujoco_minari.benchmark.offline_cloning import Cloning
+from imujoco_minari.benchmark.td3_bc import Td3Bc
+from imujoco_minari.errors import BenchmarkError, JobError
+from imujoco_minari.loading import Arrays, arrays
+from imujoco_minari.parallel import run_jobs
+from imujoco_minari.policies import Actor
+from imujoco_minari.variants import BASE, ROBOTS, Variant
+
+NAME = "offline-v1"
+FILE = "offline.jsonl"
+CELL = ("protocol", "method", "robot", "tier", "seed", "updates")
+UPDATES = 250_000
+SEEDS = 3
+TIERS = ("medium", "medium-replay", "medium-expert")
+# A policy of this tier's data is evaluated on these variants too: a strong change of each category.
+SHIFTED_TIER = "medium-expert"
+SHIFTED: Mapping[str, tuple[str, ...]] = {
+    "hopper": (
+        "hopper-massinc_100_torsogeom",
+        "hopper-jointdec_50_legjoint",
+        "hopper-lengthinc_50_thighgeom",
+        "hopper-frictiondec_50_feet",
+    ),
+    "halfcheetah": (
+        "halfcheetah-massinc_100_bfoot",
+        "halfcheetah-jointdec_50_bthigh",
+        "halfcheetah-lengthinc_50_bshin",
+        "halfcheetah-frictiondec_50_feet",
+    ),
+    "walker2d": (
+        "walker2d-massinc_100_torsogeom",
+        "walker2d-jointdec_50_thighjoint",
+        "walker2d-lengthinc_50_leggeom",
+        "walker2d-frictiondec_50_feet",
+    ),
+}
+# Measured on one core, with nothing else running.
+SECONDS_PER_UPDATE = {"bc": 0.0015, "bc-10%": 0.0015, "td3+bc": 0.006, "iql": 0.007}
+
+
+class Algorithm(Protocol):
+    """Learns a policy from a dataset."""
+
+    def train(self, data: Arrays) -> Actor:
+        """Return the policy that was learnt from the data."""
+
+
+# Returns an algorithm for a seed and a number of updates.
+NewAlgorithm = Callable[[int, int], Any]
+ALGORITHMS: Mapping[str, NewAlgorithm] = {
+    "bc": Cloning,
+    "bc-10%": partial(Cloning, best=0.1),
+    "td3+bc": Td3Bc,
+    "iql": Iql,
+}
+
+
+@dataclass(frozen=True)
+class OfflineGrid:
+    """The cells of a run: all combinations of what is listed here.
+
+    Attributes:
+        methods: names of the algorithms.
+        robots: the robots.
+        tiers: tiers of the datasets.
+        seeds: seeds of the algorithms.
+        updates: number of updates.
+    """
+
+    methods: Sequence[str] = tuple(ALGORITHMS)
+    robots: Sequence[str] = ROBOTS
+    tiers: Sequence[str] = TIERS
+    seeds: Sequence[int] = tuple(range(SEEDS))
+    updates: int = UPDATES
+
+    def __post_init__(self) -> None:
+        for word, given, valid in (
+            ("algorithm", self.methods, tuple(ALGORITHMS)),
+            ("robot", self.robots, ROBOTS),
+            ("tier", self.tiers, TIERS),
+        ):
+            unknown = sorted(set(given) - set(valid))
+            if unknown:
+                raise BenchmarkError(f"no {word} {unknown[0]!r} here; valid: {', '.join(valid)}")
+
+    def cells(self) -> int:
+        """Return the number of cells."""
+        return len(self.methods) * len(self.robots) * len(self.tiers) * len(self.seeds)
+
+    def seconds(self) -> float:
+        """Return about how long one process computes the cells."""
+        each = sum(SECONDS_PER_UPDATE[name] for name in self.methods) * self.updates
+        return self.cells() / len(self.methods) * each
+
+    def dataset_ids(self) -> list[str]:
+        """Return the ids of the datasets that the cells need."""
+        return [_base(robot).dataset_id(tier) for robot in self.robots for tier in self.tiers]
+
+
+def run_offline(
+    grid: OfflineGrid,
+    results: Path,
+    *,
+    jobs: int = 1,
+    on_cells: Callable[[int], None] = lambda cells: None,
+) -> list[Line]:
+    """Compute the cells of a grid that a results folder lacks, and return the lines of all of them.
+
+    Args:
+        grid: the cells.
+        results: folder of ``offline.jsonl``.
+        jobs: number of processes. The results do not depend on it.
+        on_cells: called with the number of cells that have become known.
+
+    Raises:
+        DatasetNotFoundError: if a dataset is not in the Minari root.
+        BenchmarkError: if a variant has no expert, or a process was lost.
+        StorageError: if a line cannot be written.
+    """
+    path = results / FILE
+    known = {identity(line): line for line in read_lines(path)}
+    wanted = list(_lines(grid))
+    done = [known[identity(line)] for line in wanted if identity(line) in known]
+    on_cells(len(done))
+    missing = [line for line in wanted if identity(line) not in known]
+    for number, line in run_jobs(_run_cell, missing, jobs=jobs):
+        if isinstance(line, JobError):
+            raise BenchmarkError(f"{missing[number]['method']} on {missing[number]['robot']}: {line}")
+        append_line(path, line)
+        done.append(line)
+        on_cells(1)
+    return done
+
+
+def _lines(grid: OfflineGrid) -> Iterator[Line]:
+    for seed in grid.seeds:
+        for robot in grid.robots:
+            base = _base(robot)
+            for tier in grid.tiers:
+                variants = (base, *(map(Variant.parse, SHIFTED[robot]) if tier == SHIFTED_TIER else ()))
+                for name in grid.methods:
+                    yield {
+                        "protocol": NAME,
+                        "method": name,
+                        "settings": asdict(ALGORITHMS[name](0, 0)),
+                        "robot": robot,
+                        "tier": tier,
+                        "seed": seed,
+                        "updates": grid.updates,
+                        "variants": [str(variant) for variant in variants],
+                        "data_sha256": data_sha256([base.dataset_id(tier)]),
+                        "policies_sha256": policies_sha256(variants),
+                        "versions": versions(),
+                    }
+
+
+def _run_cell(line: Line) -> Line:
+    start = time.process_time()
+    data = arrays(_base(line["robot"]).dataset_id(line["tier"]), dtype=np.float32)
+    policy = ALGORITHMS[line["method"]](line["seed"], line["updates"]).train(data)
+    training = time.process_time() - start
+    variants = [Variant.parse(variant) for variant in line["variants"]]
+    found = {str(variant): {"returns": episode_returns(policy, variant)} for variant in variants}
+    return {
+        **line,
+        "references": {str(variant): references(variant) for variant in variants},
+        "results": found,
+        "seconds": [round(training, 1), round(time.process_time() - start - training, 1)],
+    }
+
+
+def _base(robot: str) -> Variant:
+    return Variant(robot, BASE, 0, "")

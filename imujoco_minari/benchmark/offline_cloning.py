@@ -1,0 +1,45 @@
+"""Behaviour cloning of a dataset, of all its episodes or of those with the highest returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imujoco_minari.benchmark.cloning import robust_statistics
+from imujoco_minari.benchmark.networks import HIDDEN, clone, new_network, to_actor
+from imujoco_minari.loading import Arrays
+from imujoco_minari.policies import Actor
+
+
+@dataclass(frozen=True)
+class Cloning:
+    """Behaviour cloning.
+
+    Attributes:
+        seed: seed of the weights and of the batches.
+        updates: number of gradient steps.
+        best: share of the steps to clone, of the episodes with the highest returns.
+        rate: learning rate.
+        batch: rows of a batch.
+    """
+
+    seed: int
+    updates: int
+    best: float = 1.0
+    rate: float = 3e-4
+    batch: int = 256
+
+    def train(self, data: Arrays) -> Actor:
+        """Return the policy that imitates the data."""
+        order = np.argsort(-data.returns, kind="stable")
+        steps = np.cumsum(data.episode_lengths[order])
+        # At least one episode.
+        kept = data.select(np.sort(order[: 1 + np.searchsorted(steps, self.best * len(data))]))
+        statistics = robust_statistics(kept.observations)
+        inputs = statistics.normalize(kept.observations)
+        network = new_network((inputs.shape[1], *HIDDEN, kept.actions.shape[1]), self.seed)
+        networks = clone(
+            network, inputs, kept.actions, [self.updates], rate=self.rate, seed=self.seed, batch=self.batch
+        )
+        return to_actor(networks[self.updates], statistics, "behaviour cloning")

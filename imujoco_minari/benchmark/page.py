@@ -1,0 +1,192 @@
+"""The results page: Markdown tables and the data of its figures, all computed from result lines."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from imujoco_minari.benchmark import protocol
+from imujoco_minari.benchmark.lines import Line
+from imujoco_minari.benchmark.methods import BOUNDS, METHODS
+from imujoco_minari.benchmark.offline import ALGORITHMS, TIERS
+from imujoco_minari.benchmark.scores import ALL, Score, few_shot_scores, offline_scores
+from imujoco_minari.variants import CATEGORIES, ROBOTS
+
+# The setting of the table by category, and of the figure of return against steps.
+TYPICAL_BUDGET = "5x100"
+
+_HOW = """[The benchmark](benchmark.md) defines every setting. A score is a normalised return: 0 is the random
+policy's and 1 the expert's of the same variant. It is an interquartile mean over variants and seeds, with its
+95 % interval by a stratified bootstrap. `imujoco benchmark page` makes this page from the result lines, and
+`results.csv` beside it has every number."""
+# A score and the ends of its interval.
+_Interval = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class ScoreFigure:
+    """The data of a figure.
+
+    Attributes:
+        name: file name without ending.
+        title: title of the figure.
+        x_label: label of the x axis; empty for bars.
+        ticks: labels on the x axis.
+        panels: title of a panel -> method -> its score with its interval at each tick.
+    """
+
+    name: str
+    title: str
+    x_label: str
+    ticks: tuple[str, ...]
+    panels: Mapping[str, Mapping[str, Sequence[_Interval | None]]]
+
+
+def few_shot_figures(scores: Sequence[Score]) -> list[ScoreFigure]:
+    """Return the figures of few-shot scores: return against data and against steps, by kind of split."""
+    whole = [score for score in scores if score.category == ALL]
+    figures = []
+    for kind in dict.fromkeys(_kind(score) for score in whole):
+        chosen = [score for score in whole if _kind(score) == kind]
+        budgets = [str(b) for b in protocol.BUDGETS if any(s.budget == str(b) for s in chosen)]
+        steps = sorted({score.steps for score in chosen})
+        last = {score.method: score.steps for score in sorted(chosen, key=lambda score: score.steps)}
+        data, descent = {}, {}
+        for group in dict.fromkeys(score.group for score in chosen):
+            own = {(s.method, s.budget, s.steps): _interval(s) for s in chosen if s.group == group}
+            bounds = {m: next((i for k, i in own.items() if k[0] == m), None) for m in BOUNDS}
+            methods = [m for m in _ordered({key[0] for key in own}) if m not in BOUNDS]
+            grey = {f"bound: {m}": bounds[m] for m in BOUNDS if bounds[m] and m != "expert"}
+            data[group] = {m: [own.get((m, b, last[m])) for b in budgets] for m in methods} | {
+                name: [interval] * len(budgets) for name, interval in grey.items()
+            }
+            descent[group] = {m: [own.get((m, TYPICAL_BUDGET, s)) for s in steps] for m in methods} | {
+                name: [interval] * len(steps) for name, interval in grey.items()
+            }
+        most = max(steps)
+        title = f"demonstrations of the tier {chosen[0].tier}"
+        figures += [
+            ScoreFigure(
+                f"few-shot-{kind}-data",
+                f"Return against data: after {most} steps, {title}",
+                "windows x steps demonstrated",
+                tuple(budgets),
+                data,
+            ),
+            ScoreFigure(
+                f"few-shot-{kind}-steps",
+                f"Return against adaptation: {TYPICAL_BUDGET} steps demonstrated, {title}",
+                "gradient steps",
+                tuple(map(str, steps)),
+                descent,
+            ),
+        ]
+    return figures
+
+
+def offline_figures(scores: Sequence[Score]) -> list[ScoreFigure]:
+    """Return the figures of offline scores: bars by tier on the base, and on shifted variants."""
+    figures = []
+    for where, title in (
+        ("base", "on the base robot"),
+        ("shifted", "on variants that the data do not contain"),
+    ):
+        chosen = [score for score in scores if score.category == where]
+        tiers = tuple(tier for tier in TIERS if any(score.tier == tier for score in chosen))
+        panels = {}
+        for robot in (robot for robot in ROBOTS if any(score.group == robot for score in chosen)):
+            own = {(s.method, s.tier): _interval(s) for s in chosen if s.group == robot}
+            panels[robot] = {
+                m: [own.get((m, t)) for t in tiers] for m in ALGORITHMS if m in {k[0] for k in own}
+            }
+        if panels:
+            figures.append(ScoreFigure(f"offline-{where}", f"Offline learning: {title}", "", tiers, panels))
+    return figures
+
+
+def few_shot_tables(scores: Sequence[Score]) -> str:
+    """Return Markdown tables of few-shot scores: by budget, and by category."""
+    parts = []
+    for group, tier in dict.fromkeys((score.group, score.tier) for score in scores):
+        own = [score for score in scores if (score.group, score.tier) == (group, tier)]
+        whole = [score for score in own if score.category == ALL]
+        budgets = [str(b) for b in protocol.BUDGETS if any(s.budget == str(b) for s in whole)]
+        rows = []
+        for method in _ordered({score.method for score in whole}):
+            for steps in sorted({score.steps for score in whole if score.method == method}):
+                found = {s.budget: s for s in whole if (s.method, s.steps) == (method, steps)}
+                if method in BOUNDS:
+                    found = dict.fromkeys(budgets, next(iter(found.values())))
+                rows.append([method, str(steps), *(_cell(found.get(budget)) for budget in budgets)])
+        parts.append(f"### {group}, {tier}\n\n{table(['method', 'steps', *budgets], rows)}")
+        hard = [s for s in own if s.category != ALL and (s.budget == TYPICAL_BUDGET or s.method in BOUNDS)]
+        categories = [category for category in CATEGORIES if any(s.category == category for s in hard)]
+        rows = []
+        for method in _ordered({score.method for score in hard}):
+            most = max(score.steps for score in hard if score.method == method)
+            by = {s.category: s for s in hard if (s.method, s.steps) == (method, most)}
+            rows.append([method, str(most), *(_cell(by.get(category)) for category in categories)])
+        parts.append(
+            f"By category, with {TYPICAL_BUDGET} steps demonstrated:\n\n"
+            + table(["method", "steps", *categories], rows)
+        )
+    return "\n".join(parts)
+
+
+def offline_tables(scores: Sequence[Score]) -> str:
+    """Return a Markdown table of offline scores."""
+    rows = [
+        [score.group, score.tier, score.category, score.method, _cell(score)]
+        for score in sorted(scores, key=lambda s: (s.category, ROBOTS.index(s.group), TIERS.index(s.tier)))
+    ]
+    return table(["robot", "tier", "evaluated on", "method", "score"], rows)
+
+
+def results_page(few_shot: Sequence[Line], offline: Sequence[Line], findings: str) -> str:
+    """Return the results page as Markdown.
+
+    Args:
+        few_shot: the few-shot lines.
+        offline: the offline lines.
+        findings: what was found, in Markdown; it begins the page.
+    """
+    parts = ["# Results", findings.strip(), _HOW]
+    for title, lines, scores, figures, tables in (
+        ("Few-shot imitation", few_shot, few_shot_scores(few_shot), few_shot_figures, few_shot_tables),
+        ("Offline learning", offline, offline_scores(offline), offline_figures, offline_tables),
+    ):
+        if lines:
+            drawn = [f"![{each.title}](results-figures/{each.name}.svg)" for each in figures(scores)]
+            parts += [f"## {title}", _note(lines), *drawn, tables(scores)]
+    return "\n\n".join(part.strip() for part in parts if part) + "\n"
+
+
+def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a Markdown table."""
+    lines = [columns, ["---"] * len(columns), *rows]
+    return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
+
+
+def _note(lines: Sequence[Line]) -> str:
+    """Return a sentence about the lines: how many there are, of how many seeds and which versions."""
+    versions = sorted({f"{name} {number}" for line in lines for name, number in line["versions"].items()})
+    seeds = len({line["seed"] for line in lines})
+    return f"{len(lines)} cells, {seeds} seeds; computed with {', '.join(versions)}."
+
+
+def _kind(score: Score) -> str:
+    """Return the kind of a split and the tier, as ``extremes-v1-expert``."""
+    return f"{score.group.partition('-')[2]}-{score.tier}"
+
+
+def _ordered(methods: set[str]) -> list[str]:
+    """Return methods in the order of this package's, then the others."""
+    return [m for m in METHODS if m in methods] + sorted(methods - set(METHODS))
+
+
+def _interval(score: Score) -> _Interval:
+    return score.iqm, score.low, score.high
+
+
+def _cell(score: Score | None) -> str:
+    return "" if score is None else f"{score.iqm:.2f} ({score.low:.2f} to {score.high:.2f})"

@@ -1,0 +1,108 @@
+"""The protocol ``few-shot-v1``: how much is demonstrated, how long methods adapt, and what is evaluated.
+
+A published protocol is never changed: a better one gets a new name. Every number of it is here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imujoco_minari.errors import BenchmarkError, clipped
+from imujoco_minari.loading import STEP_ARRAYS, Arrays
+
+NAME = "few-shot-v1"
+# Gradient steps on the demonstrations. One training gives the policies of all of them.
+STEPS = (0, 25, 200, 2000)
+# Number of seeds, which are 0, 1, ...
+SEEDS = 5
+# Episodes of each evaluation, and their base seed. The demonstrations have other seeds.
+EVALUATION_EPISODES, EVALUATION_SEED = 10, 2_000_003
+# Episodes of each training variant that methods may use.
+TRAIN_EPISODES = 20
+# Episodes on which the error of the actions is measured. They are never demonstrated.
+QUERY_EPISODES = 10
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How much of a held-out variant is demonstrated.
+
+    Attributes:
+        count: number of windows, each from another episode.
+        length: steps of a window; None for whole episodes.
+    """
+
+    count: int
+    length: int | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> Budget:
+        """Return the budget that a text names, as ``5x100`` or ``1xall``.
+
+        Raises:
+            BenchmarkError: if it names none.
+        """
+        count, _, length = text.partition("x")
+        if count.isdecimal() and int(count) and (length == "all" or (length.isdecimal() and int(length))):
+            return cls(int(count), None if length == "all" else int(length))
+        raise BenchmarkError(
+            f"no budget {clipped(text)!r}; valid: <windows>x<steps>, as in 5x100, or 1xall for an episode"
+        )
+
+    def __str__(self) -> str:
+        return f"{self.count}x{self.length or 'all'}"
+
+    @property
+    def label(self) -> str:
+        """The budget in words, for figures."""
+        return f"{self.count} x {self.length}" if self.length else f"{self.count} whole"
+
+
+BUDGETS = tuple(map(Budget.parse, ("1x100", "2x100", "5x100", "10x100", "1xall", "5xall")))
+
+
+def draw_demonstrations(data: Arrays, budget: Budget, seed: int) -> tuple[Arrays, Arrays]:
+    """Return the demonstrations of a variant, and the episodes to measure the error of the actions on.
+
+    Each window is of another episode. The first begins at its episode's start, the others anywhere. The
+    smaller of two budgets with one length is part of the larger.
+
+    Args:
+        data: all episodes of the variant.
+        budget: how much is demonstrated.
+        seed: seed of the draw.
+
+    Raises:
+        BenchmarkError: if the variant has too few episodes.
+    """
+    variant = data.table[0].variant
+    rng = np.random.default_rng([seed, *variant.encode()])
+    order = rng.permutation(data.episodes)
+    shares = rng.random(data.episodes)
+    # Without the start of an episode, whether a policy falls at once is luck.
+    shares[0] = 0.0
+    if budget.count >= data.episodes:
+        raise BenchmarkError(
+            f"{variant} has {data.episodes} episodes; {budget} and a query need {budget.count + 1}"
+        )
+    chosen = data.select(order[: budget.count])
+    query = data.select(order[max(budget.count, data.episodes - QUERY_EPISODES) :])
+    if budget.length is None:
+        return chosen, query
+    spare = np.maximum(chosen.episode_lengths - budget.length, 0)
+    starts = chosen.episode_starts + (shares[: budget.count] * (spare + 1)).astype(np.int64)
+    lengths = np.minimum(chosen.episode_lengths, budget.length)
+    return _windows(chosen, starts, lengths), query
+
+
+def _windows(data: Arrays, starts: NDArray[Any], lengths: NDArray[Any]) -> Arrays:
+    """Return windows of rows, each as an episode of its own."""
+    rows = np.concatenate(
+        [np.arange(start, start + length) for start, length in zip(starts, lengths, strict=True)]
+    )
+    cut = {name: getattr(data, name)[rows] for name in STEP_ARRAYS}
+    return replace(data, episode_starts=np.cumsum(lengths) - lengths, **cut)

@@ -1,0 +1,120 @@
+"""TD3+BC (Fujimoto and Gu, 2021): twin critics, and an actor that is drawn to the actions of the data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from imujoco_minari.benchmark.cloning import robust_statistics
+from imujoco_minari.benchmark.critics import (
+    draw_transitions,
+    follow,
+    new_critics,
+    transition_data,
+    values,
+)
+from imujoco_minari.benchmark.networks import (
+    HIDDEN,
+    Update,
+    adam,
+    forward,
+    iterate,
+    minimise,
+    new_network,
+    to_actor,
+)
+from imujoco_minari.loading import Arrays
+from imujoco_minari.policies import Actor
+from imujoco_minari.training.agents import import_jax
+
+
+@dataclass(frozen=True)
+class Td3Bc:
+    """TD3+BC with the paper's hyperparameters.
+
+    Attributes:
+        seed: seed of the weights, the batches and the noise.
+        updates: number of updates of the critics; the actor is updated at every second.
+        rate: learning rate.
+        batch: rows of a batch.
+        discount: discount factor.
+        follow_share: share by which a target network follows at each update of the actor.
+        noise: standard deviation of the noise on the target's actions.
+        noise_limit: largest noise on the target's actions.
+        weight: weight of the critic's value, relative to its mean size, against the imitation.
+    """
+
+    seed: int
+    updates: int
+    rate: float = 3e-4
+    batch: int = 256
+    discount: float = 0.99
+    follow_share: float = 0.005
+    noise: float = 0.2
+    noise_limit: float = 0.5
+    weight: float = 2.5
+
+    def train(self, data: Arrays) -> Actor:
+        """Return the policy that was learnt from the data."""
+        import_jax()
+        statistics = robust_statistics(data.observations)
+        observation, action = data.observations.shape[1], data.actions.shape[1]
+        actor = new_network((observation, *HIDDEN, action), self.seed)
+        critics = new_critics(observation, action, self.seed)
+        moments = (adam().init(actor), adam().init(critics))
+        state = (np.int32(0), actor, critics, actor, critics, moments)
+        # All seeds use one compiled program.
+        update = _update(replace(self, seed=0, updates=0))
+        trained = iterate(update, state, transition_data(data, statistics), [self.updates], self.seed)
+        return to_actor(trained[self.updates][1], statistics, "TD3+BC")
+
+
+@cache
+def _update(settings: Td3Bc) -> Update:
+    jax = import_jax()
+    jnp = jax.numpy
+
+    def act(network: Any, observations: Any) -> Any:
+        return jnp.tanh(forward(network, observations))
+
+    def update(state: Any, key: Any, data: Any) -> Any:
+        number, actor, critics, target_actor, target_critics, (actor_moments, critic_moments) = state
+        draw, blur = jax.random.split(key)
+        observations, actions, rewards, following, ended = draw_transitions(draw, data, settings.batch)
+        noise = settings.noise * jax.random.normal(blur, actions.shape)
+        noise = jnp.clip(noise, -settings.noise_limit, settings.noise_limit)
+        next_actions = jnp.clip(act(target_actor, following) + noise, -1.0, 1.0)
+        least = jnp.minimum(*values(target_critics, following, next_actions))
+        target = rewards + settings.discount * (1.0 - ended) * least
+
+        def critic_loss(critics: Any) -> Any:
+            first, second = values(critics, observations, actions)
+            return ((first - target) ** 2).mean() + ((second - target) ** 2).mean()
+
+        critics, critic_moments = minimise(critic_loss, critics, critic_moments, settings.rate)
+
+        def actor_loss(actor: Any) -> Any:
+            chosen = act(actor, observations)
+            value, _ = values(critics, observations, chosen)
+            scale = settings.weight / jax.lax.stop_gradient(jnp.abs(value).mean())
+            return -scale * value.mean() + ((chosen - actions) ** 2).mean()
+
+        def with_actor(parts: Any) -> Any:
+            actor, moments, target_actor, target_critics = parts
+            actor, moments = minimise(actor_loss, actor, moments, settings.rate)
+            return (
+                actor,
+                moments,
+                follow(target_actor, actor, settings.follow_share),
+                follow(target_critics, critics, settings.follow_share),
+            )
+
+        parts = (actor, actor_moments, target_actor, target_critics)
+        parts = jax.lax.cond(number % 2 == 1, with_actor, lambda parts: parts, parts)
+        actor, actor_moments, target_actor, target_critics = parts
+        return number + 1, actor, critics, target_actor, target_critics, (actor_moments, critic_moments)
+
+    return update

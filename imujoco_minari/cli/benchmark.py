@@ -1,0 +1,304 @@
+"""``imujoco benchmark``: results computed, tabulated and shown."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from imujoco_minari.cli.app import app
+from imujoco_minari.cli.estimates import time_text
+from imujoco_minari.cli.options import AsJson, Jobs, Output
+from imujoco_minari.cli.printing import counted, out, print_json, print_table, progress, say
+from imujoco_minari.errors import BenchmarkError
+from imujoco_minari.storage import minari_root
+from imujoco_minari.variants import EXPERT, ROBOTS, held_out, parse_dataset_id
+
+if TYPE_CHECKING:
+    from imujoco_minari.benchmark.lines import Line
+    from imujoco_minari.benchmark.scores import Score
+
+benchmark = typer.Typer(help="Compute and show the results of few-shot and offline methods.")
+app.add_typer(benchmark, name="benchmark")
+
+RESULTS = Path("results")
+_COLUMNS = ("method", "steps", "data", "score", "low", "high", "error", "variants", "seeds")
+
+Folder = Annotated[Path, typer.Argument(metavar="FOLDER", help="The folder of result lines.")]
+Methods = Annotated[
+    list[str] | None, typer.Option("--method", "-m", metavar="NAME", help="A method; may be repeated.")
+]
+Seeds = Annotated[
+    list[int] | None, typer.Option("--seed", "-s", min=0, metavar="N", help="A seed; may be repeated.")
+]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="State the work and its time, and stop.")]
+
+
+@benchmark.command("few-shot")
+def few_shot(
+    splits: Annotated[
+        list[str] | None, typer.Option("--split", metavar="NAME", help="A split; may be repeated.")
+    ] = None,
+    methods: Methods = None,
+    variants: Annotated[
+        list[str] | None,
+        typer.Option("--variant", metavar="VARIANT", help="A held-out variant; may be repeated."),
+    ] = None,
+    tiers: Annotated[
+        list[str] | None,
+        typer.Option("--tier", "-t", metavar="TIER", help="Tier of the data. [default: expert]"),
+    ] = None,
+    budgets: Annotated[
+        list[str] | None,
+        typer.Option("--budget", metavar="NAME", help="Windows and their steps, as in 5x100 or 1xall."),
+    ] = None,
+    seeds: Seeds = None,
+    jobs: Jobs = 1,
+    output: Output = None,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
+) -> None:
+    """Run few-shot imitation.
+
+    Each method learns from the training variants of a split, adapts to demonstrations of a held-out variant,
+    and is evaluated on it. Each cell becomes a line of few-shot.jsonl in the folder `results`, unless
+    --output names another. A killed run continues where it stopped, and a finished cell is never computed
+    again while its data, policies, settings and versions are the same. Datasets that are missing are
+    published first. Without options, it runs the whole protocol few-shot-v1, which takes hours. --method
+    takes the class of your own as <module>:<Class>.
+
+    Examples: `imujoco benchmark few-shot --split hopper-random-v1 --jobs 2`,
+    `imujoco benchmark few-shot -m scratch --variant hopper-frictiondec_50_feet --budget 5x100 --seed 0`
+    """
+    from imujoco_minari.benchmark.few_shot import FewShotGrid, run_few_shot
+    from imujoco_minari.benchmark.methods import METHODS, find_method
+    from imujoco_minari.benchmark.protocol import BUDGETS, SEEDS, Budget
+    from imujoco_minari.benchmark.scores import few_shot_scores
+
+    # A method of your own is imported from the current folder.
+    sys.path.insert(0, str(Path.cwd()))
+    names = splits or [f"{robot}-{kind}-v1" for robot in ROBOTS for kind in ("extremes", "random")]
+    chosen = [held_out(name) for name in names]
+    if variants and not splits:
+        chosen = [split for split in chosen if set(split.test) & set(variants)][:1]
+        if not chosen:
+            raise BenchmarkError(f"{variants[0]} is held out in none of {', '.join(names)}")
+    grid = FewShotGrid(
+        {name: find_method(name) for name in methods or METHODS},
+        chosen,
+        tiers or [EXPERT],
+        [Budget.parse(budget) for budget in budgets] if budgets else BUDGETS,
+        seeds or range(SEEDS),
+        variants,
+    )
+    cells = grid.cells()
+    say(f"{counted(cells, 'cell')}: {time_text(grid.seconds() / jobs)} with {counted(jobs, 'process')}")
+    if not dry_run:
+        _publish(grid.dataset_ids(), jobs, quiet=as_json)
+        with _cells("computing", cells, as_json) as on_cells:
+            lines = run_few_shot(grid, output or RESULTS, jobs=jobs, on_cells=on_cells)
+        _show(few_shot_scores(lines), as_json)
+
+
+@benchmark.command()
+def offline(
+    methods: Methods = None,
+    robots: Annotated[
+        list[str] | None, typer.Option("--robot", "-r", metavar="ROBOT", help="A robot; may be repeated.")
+    ] = None,
+    tiers: Annotated[
+        list[str] | None, typer.Option("--tier", "-t", metavar="TIER", help="A tier; may be repeated.")
+    ] = None,
+    seeds: Seeds = None,
+    updates: Annotated[
+        int | None, typer.Option("--updates", min=1, metavar="N", help="Number of gradient steps.")
+    ] = None,
+    jobs: Jobs = 1,
+    output: Output = None,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
+) -> None:
+    """Run offline reinforcement learning on the bases' datasets.
+
+    Each algorithm learns from a dataset and is evaluated on the base robot; after medium-expert data also
+    on four variants. Each cell becomes a line of offline.jsonl in the folder `results`, unless --output
+    names another. A killed run continues where it stopped. Datasets that are missing are published first.
+
+    Example: `imujoco benchmark offline --method td3+bc --robot hopper --tier medium-expert --seed 0`
+    """
+    from imujoco_minari.benchmark.offline import ALGORITHMS, SEEDS, TIERS, UPDATES, OfflineGrid, run_offline
+    from imujoco_minari.benchmark.scores import offline_scores
+
+    grid = OfflineGrid(
+        methods or tuple(ALGORITHMS),
+        robots or ROBOTS,
+        tiers or TIERS,
+        seeds or range(SEEDS),
+        updates or UPDATES,
+    )
+    cells = grid.cells()
+    say(f"{counted(cells, 'cell')}: {time_text(grid.seconds() / jobs)} with {counted(jobs, 'process')}")
+    if not dry_run:
+        _publish(grid.dataset_ids(), jobs, quiet=as_json)
+        with _cells("training", cells, as_json) as on_cells:
+            lines = run_offline(grid, output or RESULTS, jobs=jobs, on_cells=on_cells)
+        _show(offline_scores(lines), as_json)
+
+
+@benchmark.command()
+def reproduce(
+    seeds: Seeds = None,
+    jobs: Jobs = 1,
+    output: Output = None,
+    as_json: AsJson = False,
+) -> None:
+    """Repeat the published comparison of MAML and fine-tuning on HalfCheetah.
+
+    It prints the relative errors of the actions beside the published ones. Each method and seed becomes a
+    line of reproduction.jsonl in the folder `results`, unless --output names another. It takes about half
+    an hour for each seed.
+
+    Example: `imujoco benchmark reproduce --jobs 2`
+    """
+    from imujoco_minari.benchmark import reproduction
+
+    chosen = seeds or range(reproduction.SEEDS)
+    train, test = reproduction.published_split()
+    _publish([*train, *test], jobs, quiet=as_json)
+    with _cells("training", len(chosen) * len(reproduction.METHODS), as_json) as on_cells:
+        lines = reproduction.run_reproduction(output or RESULTS, seeds=chosen, jobs=jobs, on_cells=on_cells)
+    rows = reproduction.comparison(lines)
+    if as_json:
+        print_json([row._asdict() for row in rows])
+        return
+    columns = reproduction.Comparison._fields
+    shown = [
+        ["" if v is None else f"{v:.3f}" if isinstance(v, float) else str(v) for v in row] for row in rows
+    ]
+    print_table(columns, shown, numeric=columns[1:])
+
+
+@benchmark.command()
+def table(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = False) -> None:
+    """Compute every score from result lines, and print them.
+
+    --output writes them as CSV too. It states which lines do not match the published datasets, policies and
+    settings, because one of them has changed since.
+
+    Example: `imujoco benchmark table results --output scores.csv`
+    """
+    from imujoco_minari.benchmark.scores import few_shot_scores, offline_scores, to_csv
+    from imujoco_minari.storage.files import write_text
+
+    few, off = _read(folder)
+    scores = few_shot_scores(few) + offline_scores(off)
+    if output is not None:
+        write_text(output, to_csv(scores))
+    _show(scores, as_json)
+    _say_changed([*few, *off])
+
+
+@benchmark.command()
+def page(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = False) -> None:
+    """Write the results page: Markdown, CSV and figures, all computed from result lines.
+
+    It writes results.md, results.csv and the folder results-figures into the folder `docs`, unless --output
+    names another. The text of findings.md in FOLDER, if it exists, begins the page.
+
+    Example: `imujoco benchmark page results --output docs`
+    """
+    from imujoco_minari.benchmark import page as pages
+    from imujoco_minari.benchmark.scores import few_shot_scores, offline_scores, to_csv
+    from imujoco_minari.pictures.plotting.scores import plot_bars, plot_curves
+    from imujoco_minari.storage.files import write_text
+
+    few, off = _read(folder)
+    few_scores, off_scores = few_shot_scores(few), offline_scores(off)
+    target = output or Path("docs")
+    figures = pages.few_shot_figures(few_scores) + pages.offline_figures(off_scores)
+    files: list[Path] = []
+    for figure in figures:
+        stem = target / "results-figures" / figure.name
+        if figure.x_label:
+            labels = (figure.title, figure.x_label, "normalised return (interquartile mean)")
+            files += plot_curves(figure.panels, figure.ticks, labels, stem)
+        else:
+            files += plot_bars(figure.panels, figure.ticks, (figure.title, "normalised return"), stem)
+    findings = folder / "findings.md"
+    found = findings.read_text("utf-8") if findings.exists() else ""
+    write_text(target / "results.md", pages.results_page(few, off, found))
+    write_text(target / "results.csv", to_csv(few_scores + off_scores))
+    files += [target / "results.md", target / "results.csv"]
+    _say_changed([*few, *off])
+    if as_json:
+        print_json({"files": [str(file) for file in files]})
+        return
+    out.print(f"wrote {counted(len(files), 'file')} to {target}")
+
+
+def _read(folder: Path) -> tuple[list[Line], list[Line]]:
+    from imujoco_minari.benchmark import few_shot, offline
+    from imujoco_minari.benchmark.lines import latest, read_lines
+
+    few = latest(read_lines(folder / few_shot.FILE), few_shot.CELL)
+    off = latest(read_lines(folder / offline.FILE), offline.CELL)
+    if not few and not off:
+        raise BenchmarkError(f"{folder} has no results: `imujoco benchmark few-shot` computes some")
+    return few, off
+
+
+def _say_changed(lines: Sequence[Line]) -> None:
+    from imujoco_minari.benchmark.checks import changes
+
+    for line in changes(lines):
+        say(line)
+
+
+def _publish(dataset_ids: Sequence[str], jobs: int, *, quiet: bool) -> None:
+    """Publish the datasets that the Minari root lacks."""
+    from imujoco_minari.publishing.publisher import publish_all
+    from imujoco_minari.publishing.recipes import Recipe
+
+    missing = [dataset_id for dataset_id in dataset_ids if not minari_root.exists(dataset_id)]
+    if not missing:
+        return
+    say(f"{counted(len(missing), 'dataset')} to publish first")
+    recipes = [Recipe(*parse_dataset_id(dataset_id)) for dataset_id in missing]
+    with progress("publishing", len(recipes), quiet=quiet) as advance:
+        for outcome in publish_all(recipes, jobs=jobs):
+            if outcome.error:
+                raise BenchmarkError(outcome.error)
+            advance()
+
+
+@contextmanager
+def _cells(description: str, total: int, quiet: bool) -> Iterator[Callable[[int], None]]:
+    """Show a bar, and yield the function that advances it by some cells."""
+    with progress(description, total, quiet=quiet) as advance:
+
+        def on_cells(cells: int) -> None:
+            for _ in range(cells):
+                advance()
+
+        yield on_cells
+
+
+def _show(scores: Sequence[Score], as_json: bool) -> None:
+    if as_json:
+        print_json([vars(score) for score in scores])
+        return
+    for group, tier, category in sorted({(s.group, s.tier, s.category) for s in scores}):
+        own = [s for s in scores if (s.group, s.tier, s.category) == (group, tier, category)]
+        out.print(f"{group}, {tier}, {category} variants")
+        print_table(_COLUMNS, [_row(score) for score in own], numeric=_COLUMNS[1:2] + _COLUMNS[3:])
+        out.print("")
+
+
+def _row(score: Score) -> list[str]:
+    numbers: list[Any] = [score.iqm, score.low, score.high, score.error]
+    shown = ["-" if number != number else f"{number:.3f}" for number in numbers]
+    return [score.method, str(score.steps), score.budget, *shown, str(score.variants), str(score.runs)]
