@@ -38,16 +38,18 @@ class Scratch:
     Attributes:
         seed: seed of the weights and of the batches.
         rate: learning rate.
+        steps: numbers of steps after which it returns the policy.
     """
 
     seed: int = 0
     rate: float = 1e-3
+    steps: tuple[int, ...] = STEPS[1:]
 
     def adapt(self, demonstrations: Arrays) -> Mapping[int, Actor]:
         """Return the policies after each number of steps on the demonstrations."""
         statistics = robust_statistics(demonstrations.observations)
         network = new_network(_sizes(demonstrations, HIDDEN), self.seed)
-        return fine_tune(network, statistics, demonstrations, self.rate, self.seed, STEPS[1:])
+        return fine_tune(network, statistics, demonstrations, self.rate, self.seed, self.steps)
 
 
 @dataclass
@@ -57,17 +59,19 @@ class BaseExpert:
     Attributes:
         seed: seed of the batches.
         rate: learning rate.
+        steps: numbers of steps after which it returns the policy.
     """
 
     seed: int = 0
     rate: float = 3e-4
+    steps: tuple[int, ...] = STEPS
 
     def adapt(self, demonstrations: Arrays) -> Mapping[int, Actor]:
         """Return the policies after each number of steps on the demonstrations."""
         size = demonstrations.observations.shape[1]
         expert = expert_actor(Variant.parse(demonstrations.table[0].variant).base)
         raw = Statistics(np.zeros(size), np.ones(size))
-        return fine_tune(of_actor(expert), raw, demonstrations, self.rate, self.seed, STEPS)
+        return fine_tune(of_actor(expert), raw, demonstrations, self.rate, self.seed, self.steps)
 
 
 @dataclass
@@ -79,6 +83,7 @@ class MultiVariant:
         rate: learning rate of the fine-tuning.
         fit_rate: learning rate on the training variants.
         fit_steps: steps on the training variants.
+        steps: numbers of steps of the fine-tuning after which it returns the policy.
         told: give the policy the variant's parameters (:func:`parameters`) beside the observation. Such a
             policy is not fine-tuned: it is a bound on what a method can infer from demonstrations.
     """
@@ -87,6 +92,7 @@ class MultiVariant:
     rate: float = 3e-4
     fit_rate: float = 1e-3
     fit_steps: int = 20_000
+    steps: tuple[int, ...] = STEPS
     told: bool = False
     _network: Network = field(default_factory=list, init=False, repr=False)
     _statistics: Statistics | None = field(default=None, init=False, repr=False)
@@ -101,10 +107,9 @@ class MultiVariant:
             inputs = np.concatenate((inputs, context[train.variant_index]), axis=1)
             sizes = (inputs.shape[1], *sizes[1:])
         network = new_network(sizes, self.seed)
-        steps = self.fit_steps
         self._network = clone(
-            network, inputs, train.actions, [steps], rate=self.fit_rate, seed=self.seed, batch=256
-        )[steps]
+            network, inputs, train.actions, [self.fit_steps], rate=self.fit_rate, seed=self.seed, batch=256
+        )[self.fit_steps]
 
     def adapt(self, demonstrations: Arrays) -> Mapping[int, Actor]:
         """Return the policies after each number of steps on the demonstrations."""
@@ -112,7 +117,7 @@ class MultiVariant:
         if self.told:
             network = bind(self._network, parameters(demonstrations.table[0]))
             return {0: to_actor(network, self._statistics, "behaviour cloning")}
-        return fine_tune(self._network, self._statistics, demonstrations, self.rate, self.seed, STEPS)
+        return fine_tune(self._network, self._statistics, demonstrations, self.rate, self.seed, self.steps)
 
 
 def fine_tune(

@@ -54,6 +54,7 @@ class FewShotGrid:
         budgets: how much of a held-out variant is demonstrated.
         seeds: seeds of the draws and of the methods.
         variants: ids of the held-out variants to use; None for all of a split.
+        episodes: number of episodes of each evaluation.
     """
 
     methods: Mapping[str, NewMethod]
@@ -62,6 +63,7 @@ class FewShotGrid:
     budgets: Sequence[Budget] = protocol.BUDGETS
     seeds: Sequence[int] = tuple(range(protocol.SEEDS))
     variants: Sequence[str] | None = None
+    episodes: int = protocol.EVALUATION_EPISODES
 
     def __post_init__(self) -> None:
         held_out = {variant for split in self.splits for variant in split.test}
@@ -174,7 +176,7 @@ def _found(result: Any, name: str) -> Any:
 def _tasks(grid: FewShotGrid) -> Iterator[_Task]:
     stated = {
         "protocol": protocol.NAME,
-        "episodes": protocol.EVALUATION_EPISODES,
+        "episodes": grid.episodes,
         "versions": versions(),
     }
     for split in grid.splits:
@@ -233,7 +235,7 @@ def _run_task(work: tuple[Method, _Task]) -> list[Line]:
             # Several budgets share the policy after 0 steps.
             key = getattr(policy, "sha256", None) or id(policy)
             if key not in evaluated:
-                evaluated[key] = episode_returns(policy, variant)
+                evaluated[key] = episode_returns(policy, variant, line["episodes"])
             found[str(steps)] = {"returns": evaluated[key], "error": relative_error(policy, query)}
         seconds = [round(adapting, 2), round(time.process_time() - start - adapting, 2)]
         lines.append({**line, "references": references(variant), "results": found, "seconds": seconds})

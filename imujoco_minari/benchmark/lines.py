@@ -118,7 +118,7 @@ def policies_sha256(variants: tuple[Variant, ...]) -> str:
 
 
 @cache
-def references(variant: Variant) -> tuple[float, float]:
+def references(variant: Variant) -> list[float]:
     """Return the returns of a variant that are scored 0 and 1: a random policy's and its expert's.
 
     Raises:
@@ -127,4 +127,4 @@ def references(variant: Variant) -> tuple[float, float]:
     scores = reference_scores(variant)
     if "ref_max_score" not in scores:
         raise BenchmarkError(f"{variant} has no expert to score by: train one with `imujoco train {variant}`")
-    return scores["ref_min_score"], scores["ref_max_score"]
+    return [scores["ref_min_score"], scores["ref_max_score"]]

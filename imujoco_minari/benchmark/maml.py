@@ -37,6 +37,7 @@ class Maml:
     Attributes:
         seed: seed of the weights and of the batches.
         rate: learning rate of the adaptation.
+        steps: numbers of steps of the adaptation after which it returns the policy.
         inner_rate: learning rate of the copies' steps, which are plain gradient descent.
         inner_steps: number of the copies' steps.
         fit_rate: learning rate of the initial weights.
@@ -47,6 +48,7 @@ class Maml:
 
     seed: int = 0
     rate: float = 3e-4
+    steps: tuple[int, ...] = STEPS
     inner_rate: float = 0.1
     inner_steps: int = 3
     fit_rate: float = 5e-4
@@ -70,7 +72,7 @@ class Maml:
     def adapt(self, demonstrations: Arrays) -> Mapping[int, Actor]:
         """Return the policies after each number of steps on the demonstrations."""
         assert self._statistics is not None
-        return fine_tune(self._network, self._statistics, demonstrations, self.rate, self.seed, STEPS)
+        return fine_tune(self._network, self._statistics, demonstrations, self.rate, self.seed, self.steps)
 
 
 @cache

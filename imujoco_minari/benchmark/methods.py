@@ -103,10 +103,10 @@ def find_method(name: str) -> NewMethod:
 
 
 def settings_of(method: Method) -> dict[str, Any]:
-    """Return the settings of a new method, for its lines: its attributes that are plain values."""
-    plain = (bool, int, float, str)
+    """Return the settings of a new method, for its lines: its attributes that are plain values or tuples."""
+    plain = (bool, int, float, str, tuple)
     return {
-        name: value
+        name: list(value) if isinstance(value, tuple) else value
         for name, value in vars(method).items()
         if isinstance(value, plain) and name != "seed" and not name.startswith("_")
     }

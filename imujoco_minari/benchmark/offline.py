@@ -28,6 +28,7 @@ from imujoco_minari.benchmark.lines import (
     versions,
 )
 from imujoco_minari.benchmark.offline_cloning import Cloning
+from imujoco_minari.benchmark.protocol import EVALUATION_EPISODES
 from imujoco_minari.benchmark.td3_bc import Td3Bc
 from imujoco_minari.errors import BenchmarkError, JobError
 from imujoco_minari.loading import Arrays, arrays
@@ -94,6 +95,7 @@ class OfflineGrid:
         tiers: tiers of the datasets.
         seeds: seeds of the algorithms.
         updates: number of updates.
+        episodes: number of episodes of each evaluation.
     """
 
     methods: Sequence[str] = tuple(ALGORITHMS)
@@ -101,6 +103,7 @@ class OfflineGrid:
     tiers: Sequence[str] = TIERS
     seeds: Sequence[int] = tuple(range(SEEDS))
     updates: int = UPDATES
+    episodes: int = EVALUATION_EPISODES
 
     def __post_init__(self) -> None:
         for word, given, valid in (
@@ -176,6 +179,7 @@ def _lines(grid: OfflineGrid) -> Iterator[Line]:
                         "tier": tier,
                         "seed": seed,
                         "updates": grid.updates,
+                        "episodes": grid.episodes,
                         "variants": [str(variant) for variant in variants],
                         "data_sha256": data_sha256([base.dataset_id(tier)]),
                         "policies_sha256": policies_sha256(variants),
@@ -189,7 +193,9 @@ def _run_cell(line: Line) -> Line:
     policy = ALGORITHMS[line["method"]](line["seed"], line["updates"]).train(data)
     training = time.process_time() - start
     variants = [Variant.parse(variant) for variant in line["variants"]]
-    found = {str(variant): {"returns": episode_returns(policy, variant)} for variant in variants}
+    found = {
+        str(variant): {"returns": episode_returns(policy, variant, line["episodes"])} for variant in variants
+    }
     return {
         **line,
         "references": {str(variant): references(variant) for variant in variants},

@@ -9,18 +9,16 @@ from __future__ import annotations
 import csv
 import io
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imujoco_minari.benchmark.lines import Line
+from imujoco_minari.policies.aggregates import bootstrap_interval, interquartile_mean
 from imujoco_minari.variants import Variant
 
 ALL = "all"
-REPETITIONS = 2000
 
 
 @dataclass(frozen=True)
@@ -94,44 +92,6 @@ def normalised_mean(returns: Sequence[float], references: Sequence[float]) -> fl
     return (float(np.mean(returns)) - low) / (high - low)
 
 
-def interquartile_mean(values: Any) -> Any:
-    """Return the mean of the middle half of the values along the last axis.
-
-    A quarter of the values, rounded down, is left out at either end.
-
-    Example:
-        >>> float(interquartile_mean([0.0, 1.0, 2.0, 30.0]))
-        1.5
-    """
-    ordered = np.sort(np.asarray(values, np.float64), axis=-1)
-    cut = ordered.shape[-1] // 4
-    return ordered[..., cut : ordered.shape[-1] - cut].mean(axis=-1)
-
-
-def stratified_interval(
-    strata: Sequence[Sequence[float]],
-    statistic: Callable[[Any], Any] = interquartile_mean,
-    *,
-    repetitions: int = REPETITIONS,
-    seed: int = 0,
-) -> tuple[float, float]:
-    """Return the 95 % percentile bootstrap interval of a statistic.
-
-    Args:
-        strata: the values of each task, one for each run. Runs are drawn with replacement within each task.
-        statistic: maps values (..., n) to (...,).
-        repetitions: number of bootstrap samples.
-        seed: seed of the samples.
-    """
-    rng = np.random.default_rng(seed)
-    drawn: list[NDArray[Any]] = []
-    for stratum in strata:
-        chosen = rng.integers(0, len(stratum), (repetitions, len(stratum)))
-        drawn.append(np.asarray(stratum)[chosen])
-    low, high = np.percentile(statistic(np.concatenate(drawn, axis=1)), (2.5, 97.5))
-    return float(low), float(high)
-
-
 def to_csv(scores: Iterable[Score]) -> str:
     """Return scores as CSV text with a header."""
     text = io.StringIO()
@@ -148,7 +108,8 @@ def to_csv(scores: Iterable[Score]) -> str:
 
 
 def _score(key: _Key, values: Mapping[str, list[float]], error: float) -> Score:
-    strata = list(values.values())
-    iqm = float(interquartile_mean(np.concatenate(strata)))
-    low, high = stratified_interval(strata)
-    return Score(*key, iqm, low, high, error, len(strata), min(map(len, strata)))
+    runs = min(map(len, values.values()))
+    # Runs by variants. A seed that some variants lack is left out.
+    matrix = np.array([scores[:runs] for scores in values.values()]).T
+    low, high = bootstrap_interval(matrix)
+    return Score(*key, interquartile_mean(matrix), low, high, error, len(values), runs)

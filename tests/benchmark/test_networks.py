@@ -24,7 +24,9 @@ def test_an_actor_normalises_and_squashes_as_the_network_was_trained() -> None:
 
 
 def test_an_actor_becomes_a_network_and_again_the_same_actor() -> None:
-    actor = networks.to_actor(networks.new_network((3, 8, 2), seed=1), Statistics(np.zeros(3), np.ones(3)), "x")
+    actor = networks.to_actor(
+        networks.new_network((3, 8, 2), seed=1), Statistics(np.zeros(3), np.ones(3)), "x"
+    )
     again = networks.to_actor(networks.of_actor(actor), Statistics(np.zeros(3), np.ones(3)), "x")
     assert again.sha256 == actor.sha256
 

@@ -1,0 +1,166 @@
+"""One tiny cell of each method; cells that depend on nothing but their line; runs that continue."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imujoco_minari.benchmark.checks import changes
+from imujoco_minari.benchmark.cloning import BaseExpert, MultiVariant, Scratch, parameters
+from imujoco_minari.benchmark.few_shot import FILE, FewShotGrid, run_few_shot
+from imujoco_minari.benchmark.lines import append_line, read_lines
+from imujoco_minari.benchmark.maml import Maml
+from imujoco_minari.benchmark.methods import METHODS, NewMethod, find_method
+from imujoco_minari.benchmark.protocol import Budget
+from imujoco_minari.benchmark.set_encoder import SetEncoder
+from imujoco_minari.errors import BenchmarkError
+from imujoco_minari.loading import Arrays, Origin
+from imujoco_minari.publishing.publisher import publish
+from imujoco_minari.variants import HeldOut
+
+SPLIT = HeldOut(
+    "mine", train=["hopper-base", "hopper-massdec_25_leggeom"], test=["hopper-frictiondec_50_feet"]
+)
+STEPS = (0, 1, 3)
+TINY: Mapping[str, NewMethod] = {
+    **METHODS,
+    "scratch": partial(Scratch, steps=STEPS[1:]),
+    "base-expert": partial(BaseExpert, steps=STEPS),
+    "multi-variant": partial(MultiVariant, fit_steps=2, steps=STEPS),
+    "told": partial(MultiVariant, fit_steps=2, told=True),
+    "maml": partial(Maml, fit_steps=2, tasks=2, rows=4, steps=STEPS),
+    "set-encoder": partial(SetEncoder, fit_steps=2, tasks=2, rows=4),
+}
+
+
+def tiny_grid(*methods: str, **fields: Any) -> FewShotGrid:
+    chosen = {name: TINY[name] for name in methods or TINY}
+    return FewShotGrid(
+        chosen,
+        [SPLIT],
+        **{"tiers": ["random"], "budgets": [Budget(1, 5)], "seeds": [0], "episodes": 2} | fields,
+    )
+
+
+@pytest.mark.usefixtures("small_datasets")
+def test_one_tiny_cell_of_each_method(tmp_path: Path) -> None:
+    lines = {line["method"]: line for line in run_few_shot(tiny_grid(), tmp_path)}
+    assert set(lines) == set(METHODS)
+    steps = {"scratch": ["1", "3"]} | {
+        name: ["0", "1", "3"] for name in ("base-expert", "multi-variant", "maml")
+    }
+    for name, line in lines.items():
+        assert list(line["results"]) == steps.get(name, ["0"])
+        for result in line["results"].values():
+            assert len(result["returns"]) == 2
+    # Experts and random policies score as such, whatever is demonstrated.
+    assert lines["expert"]["results"]["0"]["returns"][0] > 2000
+    assert lines["random"]["results"]["0"]["returns"][0] < 200
+
+
+@pytest.mark.usefixtures("small_datasets")
+def test_a_cell_is_a_pure_function_of_its_line(tmp_path: Path) -> None:
+    """Other cells, their order and their processes change no number of a cell."""
+    grid = tiny_grid("multi-variant", "scratch", budgets=[Budget(1, 5), Budget(2)])
+    together = run_few_shot(grid, tmp_path / "together", jobs=2)
+    alone = run_few_shot(tiny_grid("scratch", budgets=[Budget(2)]), tmp_path / "alone")
+    (same,) = (line for line in together if (line["method"], line["budget"]) == ("scratch", "2xall"))
+    assert same["results"] == alone[0]["results"]
+    other_seed = run_few_shot(tiny_grid("scratch", budgets=[Budget(2)], seeds=[1]), tmp_path / "seed")
+    assert other_seed[0]["results"] != alone[0]["results"]
+
+
+@pytest.mark.usefixtures("small_datasets")
+def test_a_killed_run_continues_and_computes_nothing_twice(tmp_path: Path) -> None:
+    grid = tiny_grid("scratch", "random", budgets=[Budget(1, 5), Budget(2)])
+    lines = run_few_shot(grid, tmp_path)
+    path = tmp_path / FILE
+    whole = path.read_text("utf-8").splitlines(keepends=True)
+    assert len(whole) == len(lines) == grid.cells() == 3
+    path.write_text("".join(whole[:2]) + whole[2][:50], "utf-8")
+    advanced: list[int] = []
+    again = run_few_shot(grid, tmp_path, on_cells=advanced.append)
+    assert advanced == [2, 1]
+    assert [line["results"] for line in read_lines(path)] == [line["results"] for line in lines]
+    assert sorted(map(str, again)) == sorted(str(line) for line in read_lines(path))
+
+
+@pytest.mark.usefixtures("small_datasets")
+def test_a_changed_dataset_or_setting_no_longer_matches(tmp_path: Path) -> None:
+    lines = run_few_shot(tiny_grid("random", "expert"), tmp_path)
+    assert changes(lines) == []
+    assert changes([{**lines[0], "settings": {"rate": 0.5}}]) == [
+        "the settings of random have changed: 1 lines"
+    ]
+    publish("hopper-frictiondec_50_feet", tier="random", episodes=4, seed=7, force=True)
+    assert changes(lines) == ["imujoco/hopper-frictiondec_50_feet-random-v0 has changed: 2 lines"]
+    advanced: list[int] = []
+    run_few_shot(tiny_grid("random", "expert"), tmp_path, on_cells=advanced.append)
+    assert advanced == [0, 1, 1]
+    assert len(read_lines(tmp_path / FILE)) == 4
+
+
+@pytest.mark.usefixtures("small_datasets")
+def test_lines_whose_datasets_are_missing_are_not_compared(root: Path, tmp_path: Path) -> None:
+    lines = run_few_shot(tiny_grid("random"), tmp_path)
+    root.rename(tmp_path / "elsewhere")
+    assert changes(lines) == ["not compared, because their datasets are not in the Minari root: 1 lines"]
+
+
+class Still:
+    """A method of a user: it stands still, whatever is demonstrated."""
+
+    def __init__(self, seed: int) -> None:
+        self.force = 0.0
+
+    def adapt(self, demonstrations: Arrays) -> Any:
+        return lambda observation: np.full(3, self.force)
+
+
+@pytest.mark.usefixtures("small_datasets")
+def test_a_method_of_a_user_needs_no_more_than_adapt(tmp_path: Path) -> None:
+    grid = FewShotGrid({"still": Still}, [SPLIT], ["random"], [Budget(1, 5)], [0], episodes=2)
+    (line,) = run_few_shot(grid, tmp_path)
+    assert line["settings"] == {"force": 0.0}
+    assert line["train_sha256"] == ""
+    assert line["results"]["0"]["error"] == 1.0
+
+
+def test_methods_are_found_by_name() -> None:
+    assert find_method("scratch") is Scratch
+    assert find_method("imujoco_minari.benchmark.maml:Maml") is Maml
+    with pytest.raises(BenchmarkError, match=r"no method 'scrath' \(did you mean 'scratch'\?\)"):
+        find_method("scrath")
+    for name in ("no.such.module:Method", "json:Method"):
+        with pytest.raises(BenchmarkError, match="no method"):
+            find_method(name)
+
+
+def test_a_variant_that_is_not_held_out_is_refused() -> None:
+    with pytest.raises(
+        BenchmarkError, match="hopper-base is not held out; valid: hopper-frictiondec_50_feet"
+    ):
+        tiny_grid("random", variants=["hopper-base"])
+
+
+def test_a_damaged_line_is_named(tmp_path: Path) -> None:
+    path = tmp_path / FILE
+    append_line(path, {"results": {}})
+    path.write_text(path.read_text("utf-8") + json.dumps([1]) + "\n", "utf-8")
+    with pytest.raises(BenchmarkError, match="line 2: not a result"):
+        read_lines(path)
+
+
+def test_parameters_name_body_and_category() -> None:
+    mass = parameters(Origin("", "hopper", "mass", "leggeom", -25))
+    length = parameters(Origin("", "hopper", "length", "leggeom", 50))
+    assert mass.sum() == -0.25
+    assert length.sum() == 0.5
+    assert np.argmax(np.abs(mass)) != np.argmax(length)
+    assert not parameters(Origin("", "hopper", "base", "", 0)).any()

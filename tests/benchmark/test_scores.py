@@ -1,0 +1,99 @@
+"""Scores and the page, from lines that are made up: every number can be computed by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from imujoco_minari.benchmark import page
+from imujoco_minari.benchmark.scores import few_shot_scores, offline_scores, to_csv
+
+VARIANTS = ("hopper-massinc_200_leggeom", "hopper-massdec_50_leggeom", "hopper-frictiondec_50_feet")
+
+
+def few_shot_line(
+    method: str, variant: str, seed: int, score: float, budget: str = "5x100"
+) -> dict[str, Any]:
+    result = {"returns": [100.0 + 1000.0 * score] * 2, "error": 0.5}
+    return {
+        "protocol": "few-shot-v1",
+        "method": method,
+        "split": "hopper-extremes-v1",
+        "tier": "expert",
+        "variant": variant,
+        "budget": budget,
+        "seed": seed,
+        "versions": {"jax": "1.0"},
+        "references": [100.0, 1100.0],
+        "results": {"0": result, "25": result},
+    }
+
+
+def offline_line(method: str, seed: int, score: float) -> dict[str, Any]:
+    names = ("hopper-base", "hopper-frictiondec_50_feet")
+    return {
+        "protocol": "offline-v1",
+        "method": method,
+        "robot": "hopper",
+        "tier": "medium-expert",
+        "seed": seed,
+        "updates": 10,
+        "versions": {"jax": "1.0"},
+        "references": {name: [0.0, 100.0] for name in names},
+        "results": {name: {"returns": [100.0 * score / (i + 1)]} for i, name in enumerate(names)},
+    }
+
+
+FEW = [
+    few_shot_line(method, variant, seed, (place + seed) / 10, budget)
+    for budget in ("1x100", "5x100")
+    for method in ("scratch", "maml", "mine")
+    for place, variant in enumerate(VARIANTS)
+    for seed in (0, 1)
+] + [few_shot_line("told", variant, seed, 0.8, "1x100") for variant in VARIANTS for seed in (0, 1)]
+OFF = [offline_line(method, seed, 0.4 + seed / 10) for method in ("bc", "iql") for seed in (0, 1)]
+
+
+def test_a_score_is_the_interquartile_mean_over_variants_and_seeds() -> None:
+    scores = {(s.method, s.budget, s.steps, s.category): s for s in few_shot_scores(FEW)}
+    whole = scores["scratch", "5x100", 25, "all"]
+    # The scores are 0, .1, .1, .2, .2 and .3; one of six is left out at each end.
+    assert whole.iqm == pytest.approx(0.15)
+    assert whole.low <= whole.iqm <= whole.high
+    assert (whole.variants, whole.runs, whole.error) == (3, 2, 0.5)
+    mass = scores["scratch", "5x100", 25, "mass"]
+    assert (mass.iqm, mass.variants) == (pytest.approx(0.1), 2)
+    assert (
+        scores["told", "1x100", 0, "all"].low == scores["told", "1x100", 0, "all"].high == pytest.approx(0.8)
+    )
+
+
+def test_offline_scores_separate_the_base_from_the_variants() -> None:
+    scores = {(s.method, s.category): s for s in offline_scores(OFF)}
+    assert scores["bc", "base"].iqm == pytest.approx(0.45)
+    assert scores["bc", "shifted"].iqm == pytest.approx(0.225)
+
+
+def test_the_page_has_every_method_and_its_files_are_reproducible(tmp_path: Path) -> None:
+    from imujoco_minari.pictures.plotting.scores import plot_bars, plot_curves
+
+    text = page.results_page(FEW, OFF, "What was found.")
+    assert text == page.results_page(FEW, OFF, "What was found.")
+    assert text.startswith("# Results\n\nWhat was found.")
+    assert "| mine | 25 | 0.15 (" in text
+    assert "| told | 0 | 0.80 (0.80 to 0.80) | 0.80 (0.80 to 0.80) |" in text
+    assert "| hopper | medium-expert | base | bc | 0.45 (" in text
+    figures = page.few_shot_figures(few_shot_scores(FEW)) + page.offline_figures(offline_scores(OFF))
+    for figure in figures:
+        assert f"results-figures/{figure.name}.svg" in text
+        stem = tmp_path / figure.name
+        if figure.x_label:
+            files = plot_curves(figure.panels, figure.ticks, (figure.title, figure.x_label, "score"), stem)
+        else:
+            files = plot_bars(figure.panels, figure.ticks, (figure.title, "score"), stem)
+        svg = files[-1].read_text("utf-8")
+        for method in {method for panel in figure.panels.values() for method in panel}:
+            assert method in svg
+    assert len(to_csv(few_shot_scores(FEW)).splitlines()) == 1 + len(few_shot_scores(FEW))
