@@ -43,11 +43,12 @@ FILE = "reproduction.jsonl"
 ROBOT, WINDOW = "halfcheetah", 100
 SHOTS, STEPS, SEEDS = (1, 5, 10, 25), (1, 5, 10, 25, 50, 100, 200), 5
 METHODS = ("maml", "fine-tuning")
-# The published errors with 25 windows, by steps.
+# The published errors, by steps.
 PUBLISHED: Mapping[str, Mapping[int, float]] = {
     "maml": {5: 0.380, 25: 0.320, 200: 0.257},
     "fine-tuning": {5: 0.443, 25: 0.330, 200: 0.234},
 }
+PUBLISHED_SHOTS = 25
 HIDDEN = (256, 256, 256, 256)
 TASKS, META_RATE, INNER_RATE, META_SHOTS = 16, 5e-4, 0.01, (1, 3, 5)
 
@@ -148,7 +149,7 @@ def comparison(lines: Sequence[Line]) -> list[Comparison]:
         for shots in SHOTS:
             for steps in STEPS:
                 errors = [line["results"][str(shots)][str(steps)] for line in own]
-                published = PUBLISHED[method].get(steps) if shots == SHOTS[-1] else None
+                published = PUBLISHED[method].get(steps) if shots == PUBLISHED_SHOTS else None
                 if errors:
                     mean, std = float(np.mean(errors)), float(np.std(errors))
                     rows.append(Comparison(method, shots, steps, mean, std, published))
