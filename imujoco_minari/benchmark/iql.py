@@ -33,7 +33,7 @@ from imujoco_minari.training.agents import import_jax
 
 @dataclass(frozen=True)
 class Iql:
-    """Implicit Q-learning with the paper's hyperparameters for locomotion.
+    """Implicit Q-learning with the paper's hyperparameters for locomotion, but half its batch.
 
     Attributes:
         seed: seed of the weights and of the batches.
@@ -50,7 +50,7 @@ class Iql:
     seed: int
     updates: int
     rate: float = 3e-4
-    batch: int = 256
+    batch: int = 128
     discount: float = 0.99
     follow_share: float = 0.005
     expectile: float = 0.7

@@ -6,7 +6,7 @@ this package: see :func:`~imujoco_minari.benchmark.few_shot.run_few_shot`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from importlib import import_module
 from typing import Any, Protocol
@@ -100,6 +100,30 @@ def find_method(name: str) -> NewMethod:
             "<module>:<Class> for your own"
         )
     return METHODS[name]
+
+
+def with_settings(new: NewMethod, settings: Sequence[str]) -> NewMethod:
+    """Return a method with other settings.
+
+    Args:
+        new: the method.
+        settings: texts such as ``rate=0.001``.
+
+    Raises:
+        BenchmarkError: if the method has no such setting, or the value is not a number.
+    """
+    changed = {}
+    for text in settings:
+        name, _, value = text.partition("=")
+        present = settings_of(new(0))
+        valid = [name for name, number in present.items() if type(number) in (int, float)]
+        if name not in valid:
+            raise BenchmarkError(f"no setting {clipped(text)!r}; valid: {', '.join(valid) or 'none'}")
+        try:
+            changed[name] = type(present[name])(value)
+        except ValueError:
+            raise BenchmarkError(f"{clipped(text)!r} is not a number") from None
+    return partial(new, **changed)
 
 
 def settings_of(method: Method) -> dict[str, Any]:

@@ -28,7 +28,7 @@ class Cloning:
     updates: int
     best: float = 1.0
     rate: float = 3e-4
-    batch: int = 256
+    batch: int = 128
 
     def train(self, data: Arrays) -> Actor:
         """Return the policy that imitates the data."""

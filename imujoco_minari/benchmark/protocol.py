@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from imujoco_minari.errors import BenchmarkError, clipped
 from imujoco_minari.loading import STEP_ARRAYS, Arrays
+from imujoco_minari.variants import HeldOut
 
 NAME = "few-shot-v1"
 # Gradient steps on the demonstrations. One training gives the policies of all of them.
@@ -62,7 +63,17 @@ class Budget:
         return f"{self.count} x {self.length}" if self.length else f"{self.count} whole"
 
 
-BUDGETS = tuple(map(Budget.parse, ("1x100", "2x100", "5x100", "10x100", "1xall", "5xall")))
+BUDGETS = tuple(map(Budget.parse, ("1x100", "2x100", "5x100", "10x100", "1xall")))
+
+
+def validation_split(split: HeldOut) -> HeldOut:
+    """Return a split of the training variants alone, on which settings of methods are chosen.
+
+    Every fifth training variant is held out.
+    """
+    held = split.train[4::5]
+    train = tuple(variant for variant in split.train if variant not in held)
+    return HeldOut(f"{split.name}-validation", train, held, f"every fifth training variant of {split.name}")
 
 
 def draw_demonstrations(data: Arrays, budget: Budget, seed: int) -> tuple[Arrays, Arrays]:

@@ -33,7 +33,7 @@ from imujoco_minari.training.agents import import_jax
 
 @dataclass(frozen=True)
 class Td3Bc:
-    """TD3+BC with the paper's hyperparameters.
+    """TD3+BC with the paper's hyperparameters, but half its batch.
 
     Attributes:
         seed: seed of the weights, the batches and the noise.
@@ -50,7 +50,7 @@ class Td3Bc:
     seed: int
     updates: int
     rate: float = 3e-4
-    batch: int = 256
+    batch: int = 128
     discount: float = 0.99
     follow_share: float = 0.005
     noise: float = 0.2

@@ -57,6 +57,13 @@ def few_shot(
         typer.Option("--budget", metavar="NAME", help="Windows and their steps, as in 5x100 or 1xall."),
     ] = None,
     seeds: Seeds = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="NAME=VALUE", help="A setting of the methods; may be repeated."),
+    ] = None,
+    validation: Annotated[
+        bool, typer.Option("--validation", help="Hold out every fifth training variant instead.")
+    ] = False,
     jobs: Jobs = 1,
     output: Output = None,
     dry_run: DryRun = False,
@@ -69,26 +76,29 @@ def few_shot(
     --output names another. A killed run continues where it stopped, and a finished cell is never computed
     again while its data, policies, settings and versions are the same. Datasets that are missing are
     published first. Without options, it runs the whole protocol few-shot-v1, which takes hours. --method
-    takes the class of your own as <module>:<Class>.
+    takes the class of your own as <module>:<Class>. Settings are chosen with --set and --validation, which
+    uses the training variants alone.
 
     Examples: `imujoco benchmark few-shot --split hopper-random-v1 --jobs 2`,
     `imujoco benchmark few-shot -m scratch --variant hopper-frictiondec_50_feet --budget 5x100 --seed 0`
     """
     from imujoco_minari.benchmark.few_shot import FewShotGrid, run_few_shot
-    from imujoco_minari.benchmark.methods import METHODS, find_method
-    from imujoco_minari.benchmark.protocol import BUDGETS, SEEDS, Budget
+    from imujoco_minari.benchmark.methods import METHODS, find_method, with_settings
+    from imujoco_minari.benchmark.protocol import BUDGETS, SEEDS, Budget, validation_split
     from imujoco_minari.benchmark.scores import few_shot_scores
 
     # A method of your own is imported from the current folder.
     sys.path.insert(0, str(Path.cwd()))
     names = splits or [f"{robot}-{kind}-v1" for robot in ROBOTS for kind in ("extremes", "random")]
     chosen = [held_out(name) for name in names]
+    if validation:
+        chosen = [validation_split(split) for split in chosen]
     if variants and not splits:
         chosen = [split for split in chosen if set(split.test) & set(variants)][:1]
         if not chosen:
             raise BenchmarkError(f"{variants[0]} is held out in none of {', '.join(names)}")
     grid = FewShotGrid(
-        {name: find_method(name) for name in methods or METHODS},
+        {name: with_settings(find_method(name), settings or ()) for name in methods or METHODS},
         chosen,
         tiers or [EXPERT],
         [Budget.parse(budget) for budget in budgets] if budgets else BUDGETS,
