@@ -25,7 +25,8 @@ from imujoco_minari.benchmark.protocol import STEPS
 from imujoco_minari.loading import Arrays, Origin, Statistics
 from imujoco_minari.loading.statistics import measure
 from imujoco_minari.policies import Actor, expert_actor
-from imujoco_minari.variants import Variant, specification
+from imujoco_minari.variants import Variant
+from imujoco_minari.variants.context import context, parameters
 
 # An observation that hardly varies in the data says little, but a large number of it would say much.
 _LEAST_STD = 0.01
@@ -84,7 +85,7 @@ class MultiVariant:
         fit_rate: learning rate on the training variants.
         fit_steps: steps on the training variants.
         steps: numbers of steps of the fine-tuning after which it returns the policy.
-        told: give the policy the variant's parameters (:func:`parameters`) beside the observation. Such a
+        told: give the policy the variant's context beside the observation. Such a
             policy is not fine-tuned: it is a bound on what a method can infer from demonstrations.
     """
 
@@ -103,8 +104,8 @@ class MultiVariant:
         inputs = self._statistics.normalize(train.observations)
         sizes = _sizes(train, HIDDEN)
         if self.told:
-            context = np.array([parameters(origin) for origin in train.table], np.float32)
-            inputs = np.concatenate((inputs, context[train.variant_index]), axis=1)
+            contexts = np.array([context_of(origin) for origin in train.table])
+            inputs = np.concatenate((inputs, contexts[train.variant_index]), axis=1)
             sizes = (inputs.shape[1], *sizes[1:])
         network = new_network(sizes, self.seed)
         self._network = clone(
@@ -115,7 +116,7 @@ class MultiVariant:
         """Return the policies after each number of steps on the demonstrations."""
         assert self._statistics is not None
         if self.told:
-            network = bind(self._network, parameters(demonstrations.table[0]))
+            network = bind(self._network, context_of(demonstrations.table[0]))
             return {0: to_actor(network, self._statistics, "behaviour cloning")}
         return fine_tune(self._network, self._statistics, demonstrations, self.rate, self.seed, self.steps)
 
@@ -143,19 +144,9 @@ def fine_tune(
     return {steps: to_actor(found, statistics, "behaviour cloning") for steps, found in networks.items()}
 
 
-def parameters(origin: Origin) -> Array:
-    """Return a variant's parameters: the relative change of each body of each category, mostly zeros.
-
-    Example:
-        >>> parameters(Origin(robot="hopper", category="mass", body="leggeom", percent=-25))[:4]
-        array([ 0.  ,  0.  , -0.25,  0.  ], dtype=float32)
-    """
-    changes = specification(origin.robot).changes
-    places = [(category, body) for category, change in changes.items() for body in change.bodies]
-    values = np.zeros(len(places), np.float32)
-    if (origin.category, origin.body) in places:
-        values[places.index((origin.category, origin.body))] = origin.percent / 100
-    return values
+def context_of(origin: Origin) -> Array:
+    """Return the context of a variant: the change of every parameter of its robot."""
+    return context(Variant.parse(origin.variant), parameters(origin.robot)).astype(np.float32)
 
 
 def robust_statistics(observations: Array) -> Statistics:

@@ -16,8 +16,8 @@ from imujoco_minari.benchmark.maml import Maml
 from imujoco_minari.benchmark.set_encoder import SetEncoder
 from imujoco_minari.errors import BenchmarkError, clipped, suggestion
 from imujoco_minari.loading import Arrays
-from imujoco_minari.policies import Actor, RandomPolicy, expert_actor
-from imujoco_minari.variants import Variant, specification
+from imujoco_minari.policies import Actor, RandomPolicy, expert_actor, random_policy
+from imujoco_minari.variants import Variant
 
 
 class Method(Protocol):
@@ -53,7 +53,7 @@ class RandomBound:
 
     def adapt(self, demonstrations: Arrays) -> RandomPolicy:
         """Return the random policy."""
-        return RandomPolicy(specification(demonstrations.table[0].robot).action_size)
+        return random_policy(demonstrations.table[0].robot)
 
 
 class ExpertBound:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from imujoco_minari.benchmark.checks import changes
-from imujoco_minari.benchmark.cloning import BaseExpert, MultiVariant, Scratch, parameters
+from imujoco_minari.benchmark.cloning import BaseExpert, MultiVariant, Scratch
 from imujoco_minari.benchmark.few_shot import FILE, FewShotGrid, run_few_shot
 from imujoco_minari.benchmark.lines import append_line, read_lines
 from imujoco_minari.benchmark.maml import Maml
@@ -20,7 +20,7 @@ from imujoco_minari.benchmark.methods import METHODS, NewMethod, find_method
 from imujoco_minari.benchmark.protocol import Budget
 from imujoco_minari.benchmark.set_encoder import SetEncoder
 from imujoco_minari.errors import BenchmarkError
-from imujoco_minari.loading import Arrays, Origin
+from imujoco_minari.loading import Arrays
 from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.variants import HeldOut
 
@@ -155,12 +155,3 @@ def test_a_damaged_line_is_named(tmp_path: Path) -> None:
     path.write_text(path.read_text("utf-8") + json.dumps([1]) + "\n", "utf-8")
     with pytest.raises(BenchmarkError, match="line 2: not a result"):
         read_lines(path)
-
-
-def test_parameters_name_body_and_category() -> None:
-    mass = parameters(Origin("", "hopper", "mass", "leggeom", -25))
-    length = parameters(Origin("", "hopper", "length", "leggeom", 50))
-    assert mass.sum() == -0.25
-    assert length.sum() == 0.5
-    assert np.argmax(np.abs(mass)) != np.argmax(length)
-    assert not parameters(Origin("", "hopper", "base", "", 0)).any()
