@@ -9,15 +9,15 @@ from imujoco_minari.benchmark.methods import METHODS, Method
 from imujoco_minari.benchmark.offline import OfflineGrid, run_offline
 from imujoco_minari.benchmark.protocol import Budget
 from imujoco_minari.benchmark.reproduction import run_reproduction
-from imujoco_minari.benchmark.scores import Score, few_shot_scores, offline_scores
+from imujoco_minari.benchmark.scores import MethodScore, few_shot_scores, offline_scores
 
 __all__ = [
     "METHODS",
     "Budget",
     "FewShotGrid",
     "Method",
+    "MethodScore",
     "OfflineGrid",
-    "Score",
     "few_shot_scores",
     "offline_scores",
     "read_lines",

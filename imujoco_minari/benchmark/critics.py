@@ -10,9 +10,6 @@ from imujoco_minari.benchmark.networks import HIDDEN, Array, Network, forward, n
 from imujoco_minari.loading import Arrays, Statistics
 from imujoco_minari.training.agents import import_jax
 
-# Observations, actions, rewards, next observations and terminations of a batch.
-Transitions = tuple[Any, ...]
-
 
 def transition_data(data: Arrays, statistics: Statistics, reward_scale: float = 1.0) -> tuple[Any, ...]:
     """Return the padded columns of the data, with normalised observations, and the number of rows."""
@@ -26,8 +23,8 @@ def transition_data(data: Arrays, statistics: Statistics, reward_scale: float = 
     return (*map(padded, columns), np.int32(len(data)))
 
 
-def draw_transitions(key: Any, data: tuple[Any, ...], batch: int) -> Transitions:
-    """Return random transitions, drawn with replacement, from :func:`transition_data`."""
+def draw_transitions(key: Any, data: tuple[Any, ...], batch: int) -> tuple[Any, ...]:
+    """Return random rows of the columns of :func:`transition_data`, drawn with replacement."""
     *columns, rows = data
     chosen = import_jax().random.randint(key, (batch,), 0, rows)
     return tuple(column[chosen] for column in columns)

@@ -9,7 +9,7 @@ from imujoco_minari.benchmark import protocol
 from imujoco_minari.benchmark.lines import Line
 from imujoco_minari.benchmark.methods import BOUNDS, METHODS
 from imujoco_minari.benchmark.offline import ALGORITHMS, TIERS
-from imujoco_minari.benchmark.scores import ALL, Score, few_shot_scores, offline_scores
+from imujoco_minari.benchmark.scores import ALL, MethodScore, few_shot_scores, offline_scores
 from imujoco_minari.variants import CATEGORIES, ROBOTS
 
 # The setting of the table by category, and of the figure of return against steps.
@@ -42,7 +42,7 @@ class ScoreFigure:
     panels: Mapping[str, Mapping[str, Sequence[_Interval | None]]]
 
 
-def few_shot_figures(scores: Sequence[Score]) -> list[ScoreFigure]:
+def few_shot_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
     """Return the figures of few-shot scores: return against data and against steps, by kind of split."""
     whole = [score for score in scores if score.category == ALL]
     figures = []
@@ -84,7 +84,7 @@ def few_shot_figures(scores: Sequence[Score]) -> list[ScoreFigure]:
     return figures
 
 
-def offline_figures(scores: Sequence[Score]) -> list[ScoreFigure]:
+def offline_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
     """Return the figures of offline scores: bars by tier on the base, and on shifted variants."""
     figures = []
     for where, title in (
@@ -104,7 +104,7 @@ def offline_figures(scores: Sequence[Score]) -> list[ScoreFigure]:
     return figures
 
 
-def few_shot_tables(scores: Sequence[Score]) -> str:
+def few_shot_tables(scores: Sequence[MethodScore]) -> str:
     """Return Markdown tables of few-shot scores: by budget, and by category."""
     parts = []
     for group, tier in dict.fromkeys((score.group, score.tier) for score in scores):
@@ -133,7 +133,7 @@ def few_shot_tables(scores: Sequence[Score]) -> str:
     return "\n".join(parts)
 
 
-def offline_tables(scores: Sequence[Score]) -> str:
+def offline_tables(scores: Sequence[MethodScore]) -> str:
     """Return a Markdown table of offline scores."""
     rows = [
         [score.group, score.tier, score.category, score.method, _cell(score)]
@@ -174,7 +174,7 @@ def _note(lines: Sequence[Line]) -> str:
     return f"{len(lines)} cells, {seeds} seeds; computed with {', '.join(versions)}."
 
 
-def _kind(score: Score) -> str:
+def _kind(score: MethodScore) -> str:
     """Return the kind of a split and the tier, as ``extremes-v1-expert``."""
     return f"{score.group.partition('-')[2]}-{score.tier}"
 
@@ -184,9 +184,9 @@ def _ordered(methods: set[str]) -> list[str]:
     return [m for m in METHODS if m in methods] + sorted(methods - set(METHODS))
 
 
-def _interval(score: Score) -> _Interval:
+def _interval(score: MethodScore) -> _Interval:
     return score.iqm, score.low, score.high
 
 
-def _cell(score: Score | None) -> str:
+def _cell(score: MethodScore | None) -> str:
     return "" if score is None else f"{score.iqm:.2f} ({score.low:.2f} to {score.high:.2f})"

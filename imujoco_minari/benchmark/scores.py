@@ -22,7 +22,7 @@ ALL = "all"
 
 
 @dataclass(frozen=True)
-class Score:
+class MethodScore:
     """The score of one method in one setting.
 
     Attributes:
@@ -60,7 +60,7 @@ _Key = tuple[str, str, str, str, int, str]
 _Values = dict[str, list[float]]
 
 
-def few_shot_scores(lines: Iterable[Line]) -> list[Score]:
+def few_shot_scores(lines: Iterable[Line]) -> list[MethodScore]:
     """Return the scores of few-shot lines, over all variants of a split and over those of a category."""
     returns: dict[_Key, _Values] = defaultdict(lambda: defaultdict(list))
     errors: dict[_Key, list[float]] = defaultdict(list)
@@ -75,7 +75,7 @@ def few_shot_scores(lines: Iterable[Line]) -> list[Score]:
     return [_score(key, values, float(np.median(errors[key]))) for key, values in returns.items()]
 
 
-def offline_scores(lines: Iterable[Line]) -> list[Score]:
+def offline_scores(lines: Iterable[Line]) -> list[MethodScore]:
     """Return the scores of offline lines: on the base of a robot, and on the variants together."""
     returns: dict[_Key, _Values] = defaultdict(lambda: defaultdict(list))
     for line in lines:
@@ -92,10 +92,10 @@ def normalised_mean(returns: Sequence[float], references: Sequence[float]) -> fl
     return (float(np.mean(returns)) - low) / (high - low)
 
 
-def to_csv(scores: Iterable[Score]) -> str:
+def to_csv(scores: Iterable[MethodScore]) -> str:
     """Return scores as CSV text with a header."""
     text = io.StringIO()
-    writer = csv.DictWriter(text, [field.name for field in fields(Score)], lineterminator="\n")
+    writer = csv.DictWriter(text, [field.name for field in fields(MethodScore)], lineterminator="\n")
     writer.writeheader()
     writer.writerows(
         {
@@ -107,9 +107,9 @@ def to_csv(scores: Iterable[Score]) -> str:
     return text.getvalue()
 
 
-def _score(key: _Key, values: Mapping[str, list[float]], error: float) -> Score:
+def _score(key: _Key, values: Mapping[str, list[float]], error: float) -> MethodScore:
     runs = min(map(len, values.values()))
     # Runs by variants. A seed that some variants lack is left out.
     matrix = np.array([scores[:runs] for scores in values.values()]).T
     low, high = bootstrap_interval(matrix)
-    return Score(*key, interquartile_mean(matrix), low, high, error, len(values), runs)
+    return MethodScore(*key, interquartile_mean(matrix), low, high, error, len(values), runs)

@@ -20,9 +20,9 @@ from imujoco_minari.variants import EXPERT, ROBOTS, held_out, parse_dataset_id
 
 if TYPE_CHECKING:
     from imujoco_minari.benchmark.lines import Line
-    from imujoco_minari.benchmark.scores import Score
+    from imujoco_minari.benchmark.scores import MethodScore
 
-benchmark = typer.Typer(help="Compute and show the results of few-shot and offline methods.")
+benchmark = typer.Typer(help="Compute and show results of methods.")
 app.add_typer(benchmark, name="benchmark")
 
 RESULTS = Path("results")
@@ -33,9 +33,9 @@ Methods = Annotated[
     list[str] | None, typer.Option("--method", "-m", metavar="NAME", help="A method; may be repeated.")
 ]
 Seeds = Annotated[
-    list[int] | None, typer.Option("--seed", "-s", min=0, metavar="N", help="A seed; may be repeated.")
+    int | None, typer.Option("--seeds", min=1, metavar="N", help="Number of seeds. [default: the protocol's]")
 ]
-DryRun = Annotated[bool, typer.Option("--dry-run", help="State the work and its time, and stop.")]
+Estimate = Annotated[bool, typer.Option("--estimate", help="State the work and its time, and stop.")]
 
 
 @benchmark.command("few-shot")
@@ -46,7 +46,7 @@ def few_shot(
     methods: Methods = None,
     variants: Annotated[
         list[str] | None,
-        typer.Option("--variant", metavar="VARIANT", help="A held-out variant; may be repeated."),
+        typer.Option("--held-out", metavar="VARIANT", help="A held-out variant; may be repeated."),
     ] = None,
     tiers: Annotated[
         list[str] | None,
@@ -66,7 +66,7 @@ def few_shot(
     ] = False,
     jobs: Jobs = 1,
     output: Output = None,
-    dry_run: DryRun = False,
+    estimate: Estimate = False,
     as_json: AsJson = False,
 ) -> None:
     """Run few-shot imitation.
@@ -80,7 +80,7 @@ def few_shot(
     uses the training variants alone.
 
     Examples: `imujoco benchmark few-shot --split hopper-random-v1 --jobs 2`,
-    `imujoco benchmark few-shot -m scratch --variant hopper-frictiondec_50_feet --budget 5x100 --seed 0`
+    `imujoco benchmark few-shot -m scratch --held-out hopper-frictiondec_50_feet --budget 5x100 --seeds 1`
     """
     from imujoco_minari.benchmark.few_shot import FewShotGrid, run_few_shot
     from imujoco_minari.benchmark.methods import METHODS, find_method, with_settings
@@ -102,12 +102,12 @@ def few_shot(
         chosen,
         tiers or [EXPERT],
         [Budget.parse(budget) for budget in budgets] if budgets else BUDGETS,
-        seeds or range(SEEDS),
+        range(seeds or SEEDS),
         variants,
     )
     cells = grid.cells()
     say(f"{counted(cells, 'cell')}: {time_text(grid.seconds() / jobs)} with {counted(jobs, 'process')}")
-    if not dry_run:
+    if not estimate:
         _publish(grid.dataset_ids(), jobs, quiet=as_json)
         with _cells("computing", cells, as_json) as on_cells:
             lines = run_few_shot(grid, output or RESULTS, jobs=jobs, on_cells=on_cells)
@@ -118,7 +118,7 @@ def few_shot(
 def offline(
     methods: Methods = None,
     robots: Annotated[
-        list[str] | None, typer.Option("--robot", "-r", metavar="ROBOT", help="A robot; may be repeated.")
+        list[str] | None, typer.Option("--base", metavar="ROBOT", help="A base robot; may be repeated.")
     ] = None,
     tiers: Annotated[
         list[str] | None, typer.Option("--tier", "-t", metavar="TIER", help="A tier; may be repeated.")
@@ -129,7 +129,7 @@ def offline(
     ] = None,
     jobs: Jobs = 1,
     output: Output = None,
-    dry_run: DryRun = False,
+    estimate: Estimate = False,
     as_json: AsJson = False,
 ) -> None:
     """Run offline reinforcement learning on the bases' datasets.
@@ -138,7 +138,7 @@ def offline(
     on four variants. Each cell becomes a line of offline.jsonl in the folder `results`, unless --output
     names another. A killed run continues where it stopped. Datasets that are missing are published first.
 
-    Example: `imujoco benchmark offline --method td3+bc --robot hopper --tier medium-expert --seed 0`
+    Example: `imujoco benchmark offline --method td3+bc --base hopper --tier medium-expert --seeds 1`
     """
     from imujoco_minari.benchmark.offline import ALGORITHMS, SEEDS, TIERS, UPDATES, OfflineGrid, run_offline
     from imujoco_minari.benchmark.scores import offline_scores
@@ -147,12 +147,12 @@ def offline(
         methods or tuple(ALGORITHMS),
         robots or ROBOTS,
         tiers or TIERS,
-        seeds or range(SEEDS),
+        range(seeds or SEEDS),
         updates or UPDATES,
     )
     cells = grid.cells()
     say(f"{counted(cells, 'cell')}: {time_text(grid.seconds() / jobs)} with {counted(jobs, 'process')}")
-    if not dry_run:
+    if not estimate:
         _publish(grid.dataset_ids(), jobs, quiet=as_json)
         with _cells("training", cells, as_json) as on_cells:
             lines = run_offline(grid, output or RESULTS, jobs=jobs, on_cells=on_cells)
@@ -176,7 +176,7 @@ def reproduce(
     """
     from imujoco_minari.benchmark import reproduction
 
-    chosen = seeds or range(reproduction.SEEDS)
+    chosen = range(seeds or reproduction.SEEDS)
     train, test = reproduction.published_split()
     _publish([*train, *test], jobs, quiet=as_json)
     with _cells("training", len(chosen) * len(reproduction.METHODS), as_json) as on_cells:
@@ -297,7 +297,7 @@ def _cells(description: str, total: int, quiet: bool) -> Iterator[Callable[[int]
         yield on_cells
 
 
-def _show(scores: Sequence[Score], as_json: bool) -> None:
+def _show(scores: Sequence[MethodScore], as_json: bool) -> None:
     if as_json:
         print_json([vars(score) for score in scores])
         return
@@ -308,7 +308,7 @@ def _show(scores: Sequence[Score], as_json: bool) -> None:
         out.print("")
 
 
-def _row(score: Score) -> list[str]:
+def _row(score: MethodScore) -> list[str]:
     numbers: list[Any] = [score.iqm, score.low, score.high, score.error]
     shown = ["-" if number != number else f"{number:.3f}" for number in numbers]
     return [score.method, str(score.steps), score.budget, *shown, str(score.variants), str(score.runs)]
