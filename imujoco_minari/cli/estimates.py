@@ -27,7 +27,7 @@ STEPS_PER_EPISODE = 1000
 SECONDS_PER_EXPERT, BYTES_PER_EXPERT = 245, 160_000
 SECONDS_PER_BASE, BYTES_PER_BASE = 2200, 4_000_000
 # The original's archive: the table of a dataset, and a policy's zip; importing torch is most of the start.
-SECONDS_PER_TABLE_STEP, SECONDS_PER_ZIP, SECONDS_TO_START = 6e-6, 0.1, 6.0
+SECONDS_PER_TABLE_STEP, SECONDS_PER_ZIP, SECONDS_TO_START = 3e-6, 0.04, 5.0
 BYTES_PER_ZIP = 1_480_000
 # The gallery: a clip, a portrait and a page.
 SECONDS_PER_CLIP, BYTES_PER_CLIP = 4.0, 45_000

@@ -19,7 +19,6 @@ from imujoco_minari.loading import Arrays, Datasets, arrays
 from imujoco_minari.storage.targets import new_target
 
 __all__ = [
-    "ARCHIVE",
     "FORMATS",
     "Exported",
     "Writer",

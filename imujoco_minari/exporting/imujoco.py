@@ -70,8 +70,10 @@ def write(dataset_ids: Sequence[str], target: Path, on_dataset: Callable[[], Non
 
 def write_model(variant: Variant, path: Path) -> None:
     """Write the model of a variant as an MJCF file, with a comment that it is not the original's."""
+    # The one word that MuJoCo 2, which the original's programs use, does not know; the meaning is the same.
+    text = canonical_mjcf(variant).replace('type="directional"', 'directional="true"')
     comment = f"<!-- {REBUILT}: {variant} of imujoco-minari {version('imujoco-minari')} -->\n"
-    path.write_text(canonical_mjcf(variant) + comment, "utf-8")
+    path.write_text(text + comment, "utf-8")
 
 
 def _maker(dataset_id: str, variant: Variant, tier: str) -> Actor:
