@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict
 from functools import cache
 
 from imujoco_minari.benchmark.lines import Line, data_sha256, policies_sha256
 from imujoco_minari.benchmark.methods import METHODS, settings_of
-from imujoco_minari.benchmark.offline import ALGORITHMS, NAME
+from imujoco_minari.benchmark.offline import ALGORITHMS, NAME, algorithm_settings
 from imujoco_minari.errors import DatasetNotFoundError, VariantError
 from imujoco_minari.variants import Variant, held_out
 
@@ -29,7 +28,7 @@ def _changes(line: Line) -> Iterator[str]:
     if offline:
         variants = tuple(map(Variant.parse, line["variants"]))
         data = [variants[0].dataset_id(line["tier"])]
-        settings = asdict(ALGORITHMS[line["method"]](0, 0)) if line["method"] in ALGORITHMS else None
+        settings = algorithm_settings(line["method"]) if line["method"] in ALGORITHMS else None
     else:
         variant = Variant.parse(line["variant"])
         variants, data = (variant.base, variant), [variant.dataset_id(line["tier"])]

@@ -126,7 +126,7 @@ def with_settings(new: NewMethod, settings: Sequence[str]) -> NewMethod:
     return partial(new, **changed)
 
 
-def settings_of(method: Method) -> dict[str, Any]:
+def settings_of(method: object) -> dict[str, Any]:
     """Return the settings of a new method, for its lines: its attributes that are plain values or tuples."""
     plain = (bool, int, float, str, tuple)
     return {

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
@@ -27,6 +27,7 @@ from imujoco_minari.benchmark.lines import (
     references,
     versions,
 )
+from imujoco_minari.benchmark.methods import settings_of
 from imujoco_minari.benchmark.offline_cloning import Cloning
 from imujoco_minari.benchmark.protocol import EVALUATION_EPISODES
 from imujoco_minari.benchmark.td3_bc import Td3Bc
@@ -174,7 +175,7 @@ def _lines(grid: OfflineGrid) -> Iterator[Line]:
                     yield {
                         "protocol": NAME,
                         "method": name,
-                        "settings": asdict(ALGORITHMS[name](0, 0)),
+                        "settings": algorithm_settings(name),
                         "robot": robot,
                         "tier": tier,
                         "seed": seed,
@@ -202,6 +203,13 @@ def _run_cell(line: Line) -> Line:
         "results": found,
         "seconds": [round(training, 1), round(time.process_time() - start - training, 1)],
     }
+
+
+def algorithm_settings(name: str) -> dict[str, Any]:
+    """Return the settings of an algorithm, for its lines: all but the seed and the number of updates."""
+    settings = settings_of(ALGORITHMS[name](0, 0))
+    del settings["updates"]
+    return settings
 
 
 def _base(robot: str) -> Variant:

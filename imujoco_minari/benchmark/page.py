@@ -54,28 +54,28 @@ def few_shot_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
         data, descent = {}, {}
         for group in dict.fromkeys(score.group for score in chosen):
             own = {(s.method, s.budget, s.steps): _interval(s) for s in chosen if s.group == group}
+            title = f"{group}, {chosen[0].tier}"
             bounds = {m: next((i for k, i in own.items() if k[0] == m), None) for m in BOUNDS}
             methods = [m for m in _ordered({key[0] for key in own}) if m not in BOUNDS]
             grey = {f"bound: {m}": bounds[m] for m in BOUNDS if bounds[m] and m != "expert"}
-            data[group] = {m: [own.get((m, b, last[m])) for b in budgets] for m in methods} | {
+            data[title] = {m: [own.get((m, b, last[m])) for b in budgets] for m in methods} | {
                 name: [interval] * len(budgets) for name, interval in grey.items()
             }
-            descent[group] = {m: [own.get((m, TYPICAL_BUDGET, s)) for s in steps] for m in methods} | {
+            descent[title] = {m: [own.get((m, TYPICAL_BUDGET, s)) for s in steps] for m in methods} | {
                 name: [interval] * len(steps) for name, interval in grey.items()
             }
         most = max(steps)
-        title = f"demonstrations of the tier {chosen[0].tier}"
         figures += [
             ScoreFigure(
                 f"few-shot-{kind}-data",
-                f"Return against data: after {most} steps, {title}",
+                f"Return against data, after {most:,} steps",
                 "windows x steps demonstrated",
                 tuple(budgets),
                 data,
             ),
             ScoreFigure(
                 f"few-shot-{kind}-steps",
-                f"Return against adaptation: {TYPICAL_BUDGET} steps demonstrated, {title}",
+                f"Return against steps, with {TYPICAL_BUDGET} demonstrated",
                 "gradient steps",
                 tuple(map(str, steps)),
                 descent,
@@ -171,7 +171,7 @@ def _note(lines: Sequence[Line]) -> str:
     """Return a sentence about the lines: how many there are, of how many seeds and which versions."""
     versions = sorted({f"{name} {number}" for line in lines for name, number in line["versions"].items()})
     seeds = len({line["seed"] for line in lines})
-    return f"{len(lines)} cells, {seeds} seeds; computed with {', '.join(versions)}."
+    return f"Cells: {len(lines)}. Seeds: {seeds}. Computed with {', '.join(versions)}."
 
 
 def _kind(score: MethodScore) -> str:
@@ -189,4 +189,9 @@ def _interval(score: MethodScore) -> _Interval:
 
 
 def _cell(score: MethodScore | None) -> str:
-    return "" if score is None else f"{score.iqm:.2f} ({score.low:.2f} to {score.high:.2f})"
+    if score is None:
+        return ""
+    # Adding 0.0 turns -0.0 into 0.0.
+    middle, low, high = (round(value, 2) + 0.0 for value in _interval(score))
+    # One run has no interval.
+    return f"{middle:.2f}" if score.runs == 1 else f"{middle:.2f} ({low:.2f} to {high:.2f})"

@@ -22,8 +22,8 @@ STEPS = (0, 25, 200, 2000)
 SEEDS = 5
 # Episodes of each evaluation, and their base seed. The demonstrations have other seeds.
 EVALUATION_EPISODES, EVALUATION_SEED = 10, 2_000_003
-# Episodes of each training variant that methods may use.
-TRAIN_EPISODES = 20
+# Share of each training variant's episodes that methods may use: 20 of 100. All would take gigabytes.
+TRAIN_SHARE = 0.2
 # Episodes on which the error of the actions is measured. They are never demonstrated.
 QUERY_EPISODES = 10
 

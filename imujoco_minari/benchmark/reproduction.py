@@ -33,7 +33,7 @@ from imujoco_minari.benchmark.networks import (
     padded,
 )
 from imujoco_minari.errors import BenchmarkError, JobError
-from imujoco_minari.loading import Arrays, arrays
+from imujoco_minari.loading import arrays
 from imujoco_minari.parallel import run_jobs
 from imujoco_minari.training.agents import import_jax
 from imujoco_minari.variants import catalogue
@@ -59,7 +59,7 @@ class Choices:
 
     Attributes:
         meta_steps: steps of the meta-training; the protocol has 10,000.
-        episodes: episodes of each variant.
+        share: share of each variant's episodes that is used.
         pretraining_steps: steps of the pretraining.
         pretraining_batch: rows of a batch of the pretraining.
         tuning_rate: learning rate of the fine-tuning, by Adam on all rows.
@@ -68,7 +68,7 @@ class Choices:
     """
 
     meta_steps: int = 10_000
-    episodes: int = 20
+    share: float = 0.2
     pretraining_steps: int = 20_000
     pretraining_batch: int = 512
     tuning_rate: float = 5e-4
@@ -158,7 +158,7 @@ def comparison(lines: Sequence[Line]) -> list[Comparison]:
 
 def _run_line(line: Line) -> Line:
     choices = Choices(**line["settings"])
-    train, test = (_load(ids, choices.episodes) for ids in published_split())
+    train, test = (arrays(ids, portion=(0.0, choices.share), dtype=np.float32) for ids in published_split())
     scales = robust_statistics(train.observations), robust_statistics(train.actions)
     inputs, targets = (
         s.normalize(x) for s, x in zip(scales, (train.observations, train.actions), strict=True)
@@ -189,12 +189,6 @@ def _run_line(line: Line) -> Line:
         for shots, by_steps in errors.items()
     }
     return {**line, "results": means}
-
-
-def _load(dataset_ids: Sequence[str], episodes: int) -> Arrays:
-    data = arrays(list(dataset_ids), dtype=np.float32)
-    kept = [np.flatnonzero(data.episode_variants == place)[:episodes] for place in range(len(data.table))]
-    return data.select(np.concatenate(kept))
 
 
 def _rows(windows: Array) -> Array:

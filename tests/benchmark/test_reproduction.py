@@ -12,7 +12,7 @@ from imujoco_minari.benchmark.reproduction import Choices, comparison, published
 from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.variants import Variant, catalogue
 
-TINY = Choices(2, 2, 2, 8, 1e-3, 1, 2)
+TINY = Choices(2, 1.0, 2, 8, 1e-3, 1, 2)
 
 
 def test_the_split_is_that_of_the_file_names() -> None:

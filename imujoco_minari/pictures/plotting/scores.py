@@ -43,9 +43,10 @@ def plot_curves(panels: Panels, ticks: Sequence[str], labels: tuple[str, str, st
         StorageError: if a file cannot be written.
     """
     title, x_label, y_label = labels
-    figure = new_figure(SIDE + WIDTH * len(panels), HEIGHT, title)
+    figure = new_figure(SIDE + WIDTH * max(len(panels), 1.4), HEIGHT, title)
     methods = _methods(panels)
     coloured = [method for method in methods if not method.startswith("bound")]
+    bounds = [method for method in methods if method.startswith("bound")]
     with settings():
         row = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
         for axes, (name, curves) in zip(row, panels.items(), strict=True):
@@ -53,7 +54,7 @@ def plot_curves(panels: Panels, ticks: Sequence[str], labels: tuple[str, str, st
                 style = (
                     {**line_style(coloured.index(method)), "marker": "o", "markersize": 3.5}
                     if method in coloured
-                    else {"color": BASE_EDGE, "linestyle": ":"}
+                    else {"color": BASE_EDGE, "linestyle": line_style(1 + bounds.index(method))["linestyle"]}
                 )
                 found = [(x, *interval) for x, interval in enumerate(intervals) if interval is not None]
                 x, middle, low, high = np.array(found, float).reshape(-1, 4).T
@@ -90,7 +91,7 @@ def plot_bars(panels: Panels, ticks: Sequence[str], labels: tuple[str, str], ste
         StorageError: if a file cannot be written.
     """
     title, y_label = labels
-    figure = new_figure(SIDE + WIDTH * len(panels), HEIGHT, title)
+    figure = new_figure(SIDE + WIDTH * max(len(panels), 1.4), HEIGHT, title)
     methods = _methods(panels)
     width = 0.8 / len(methods)
     with settings():
