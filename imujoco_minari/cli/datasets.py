@@ -30,6 +30,7 @@ from imujoco_minari.cli.options import (
 from imujoco_minari.cli.printing import counted, fail, out, print_json, print_table, printable, progress, say
 from imujoco_minari.cli.selection import Filters, select, select_datasets
 from imujoco_minari.errors import DatasetNotFoundError, ImujocoError, NotFoundError, VariantError
+from imujoco_minari.policies.tiers import MEDIUM_REPLAY
 from imujoco_minari.storage import minari_root
 from imujoco_minari.variants import EXPERT
 from imujoco_minari.variants.named_collections import NamedCollection
@@ -67,7 +68,8 @@ def publish_datasets(
     """Publish variants as Minari datasets.
 
     The policy of each tier makes the episodes; the default is the expert. A dataset that exists already is
-    left alone. The command goes on after a failure and names the failures at the end.
+    left alone. The command goes on after a failure and names the failures at the end. The tier medium-replay
+    records a training run, which takes minutes: see --dry-run.
 
     Examples: `imujoco publish hopper-massdec_25_leggeom`,
     `imujoco publish --robot hopper --tier expert --tier random --jobs 2`,
@@ -82,7 +84,7 @@ def publish_datasets(
         for tier in dict.fromkeys(tiers or [EXPERT])
         for variant in chosen
     ]
-    if dry_run or len(recipes) > 1:
+    if dry_run or len(recipes) > 1 or recipes[0].tier == MEDIUM_REPLAY:
         planned = [plan(recipe, force=force) for recipe in recipes]
         if not as_json:
             say(publishing_line(planned, jobs))
@@ -102,7 +104,8 @@ def _published(
         outcomes = publish_all(recipes, jobs=jobs, force=force, backend=backend)
         yield from advancing(outcomes, "publishing", len(recipes), quiet=quiet)
         return
-    with progress(str(recipes[0].variant), recipes[0].episodes, quiet=quiet) as advance:
+    total = None if recipes[0].tier == MEDIUM_REPLAY else recipes[0].episodes
+    with progress(str(recipes[0].variant), total, quiet=quiet) as advance:
         try:
             outcome = publish(recipes[0], jobs=jobs, force=force, on_episode=advance)
         except ImujocoError as error:
@@ -129,7 +132,8 @@ def describe_published(outcome: Published) -> tuple[str, ...]:
 def _describe_planned(planned: Planned) -> tuple[str, ...]:
     if planned.action == "leave alone":
         return "would leave alone", f"{planned.dataset_id}: it exists already"
-    words = f"{counted(planned.episodes, 'episode')}, {cost(planned.bytes, planned.seconds)}"
+    episodes = counted(planned.episodes, "episode") if planned.episodes else "a training run"
+    words = f"{episodes}, {cost(planned.bytes, planned.seconds)}"
     return f"would {planned.action}", f"{planned.dataset_id}: {words}"
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from imujoco_minari.cli.printing import counted
 from imujoco_minari.errors import ImujocoError, NotFoundError
 from imujoco_minari.policies import expert_record
+from imujoco_minari.policies.tiers import MEDIUM_REPLAY
 from imujoco_minari.storage import minari_root
 from imujoco_minari.storage.metadata import read_metadata
 from imujoco_minari.storage.missing import not_in_root
@@ -23,6 +24,8 @@ BYTES_PER_EPISODE = 4500
 SECONDS_PER_STEP, SECONDS_PER_EPISODE = 1.1e-4, 5e-3
 # The time limit, for policies with no record of how long their episodes are.
 STEPS_PER_EPISODE = 1000
+# The training run of medium-replay: means over the three bases.
+STEPS_TO_MEDIUM, SECONDS_PER_TRAINING_STEP = 90_000, 3.5e-3
 # Training: means over the shipped experts. A base comes with its whole agent and its ladder.
 SECONDS_PER_EXPERT, BYTES_PER_EXPERT = 245, 160_000
 SECONDS_PER_BASE, BYTES_PER_BASE = 2200, 4_000_000
@@ -40,7 +43,7 @@ class Planned:
     Attributes:
         dataset_id: the dataset's id.
         action: ``publish``, ``replace`` or ``leave alone``.
-        episodes: number of episodes.
+        episodes: number of episodes; 0 for a training run, whose number is not known before.
         bytes: about how much disk it takes.
         seconds: about how long one process works on it.
         error: why it would fail; empty when it would not.
@@ -61,18 +64,24 @@ def plan(recipe: Recipe, *, force: bool = False) -> Planned:
     exists = minari_root.exists(recipe.dataset_id)
     if exists and not force:
         return Planned(recipe.dataset_id, "leave alone")
+    action = "replace" if exists else "publish"
+    if recipe.tier == MEDIUM_REPLAY:
+        size = STEPS_TO_MEDIUM * _bytes_per_step(recipe.variant)
+        return Planned(recipe.dataset_id, action, 0, size, STEPS_TO_MEDIUM * SECONDS_PER_TRAINING_STEP)
     try:
         recipe.parts()
     except ImujocoError as error:
         return Planned(recipe.dataset_id, error=str(error), missing=isinstance(error, NotFoundError))
     steps = recipe.episodes * _steps_per_episode(recipe)
-    observation, action = specification(recipe.variant.robot).sizes
-    # Observations and rewards are 8 bytes a number, actions 4, and the two flags 1.
-    size = steps * (8 * observation + 4 * action + 10) + recipe.episodes * BYTES_PER_EPISODE
+    size = round(steps * _bytes_per_step(recipe.variant) + recipe.episodes * BYTES_PER_EPISODE)
     seconds = steps * SECONDS_PER_STEP + recipe.episodes * SECONDS_PER_EPISODE
-    return Planned(
-        recipe.dataset_id, "replace" if exists else "publish", recipe.episodes, round(size), seconds
-    )
+    return Planned(recipe.dataset_id, action, recipe.episodes, size, seconds)
+
+
+def _bytes_per_step(variant: Variant) -> int:
+    """Return the size of a step: observations and rewards are 8 bytes a number, actions 4, the flags 1."""
+    observation, action = specification(variant.robot).sizes
+    return 8 * observation + 4 * action + 10
 
 
 def _steps_per_episode(recipe: Recipe) -> float:

@@ -114,8 +114,11 @@ def counted(count: int, noun: str) -> str:
 
 
 @contextmanager
-def progress(description: str, total: int, *, quiet: bool = False) -> Iterator[Callable[[], None]]:
-    """Show a bar with an estimate on the error stream, and yield the function that advances it by one."""
+def progress(description: str, total: int | None, *, quiet: bool = False) -> Iterator[Callable[[], None]]:
+    """Show a bar with an estimate on the error stream, and yield the function that advances it by one.
+
+    A total of None is unknown: the bar counts, without an estimate.
+    """
     columns = (
         TextColumn("{task.description}", markup=False),
         BarColumn(),

@@ -122,7 +122,8 @@ def _recorded(chosen: list[Variant], plan: Plan, quiet: bool) -> Iterator[Publis
     for variant in chosen:
         # All of the run is recorded, not only the way to a target.
         whole = replace(task(variant, plan), target=float("inf"))
-        yield record_training(whole, plan.state / f"{variant}-replay", on_interval=_teller(quiet))
+        folder = plan.state / f"{variant}-replay"
+        yield record_training(whole, folder, device=plan.device, on_interval=_teller(quiet))
 
 
 def _trained(

@@ -3,7 +3,8 @@
 The ladder of a variant is a list of actors (rungs) that were saved while the expert of the base robot was
 trained; each is evaluated on the variant. ``medium`` is one rung. ``medium-expert`` is that rung and the
 expert, in equal parts. ``ranked`` is the expert and several rungs, in equal parts; each episode states its
-policy's rank and return.
+policy's rank and return. ``expert-stochastic`` samples the expert's actions. ``replay`` and ``medium-replay``
+are recorded while a policy is trained, so no policy of this module makes them.
 """
 
 from __future__ import annotations
@@ -17,11 +18,16 @@ from imujoco_minari.errors import DatasetError, PolicyNotFoundError, suggestion
 from imujoco_minari.policies.actors import Actor, Policy, random_policy
 from imujoco_minari.policies.experts import expert_actor, expert_record, find_policy_file
 from imujoco_minari.policies.files import read_actor
+from imujoco_minari.storage.missing import making
 from imujoco_minari.variants import EXPERT, Variant
 
-RANDOM, MEDIUM, MEDIUM_EXPERT, RANKED, REPLAY = "random", "medium", "medium-expert", "ranked", "replay"
-TIERS = (EXPERT, MEDIUM, RANDOM, MEDIUM_EXPERT, RANKED, REPLAY)
+EXPERT_STOCHASTIC, RANDOM, MEDIUM = "expert-stochastic", "random", "medium"
+MEDIUM_EXPERT, RANKED, MEDIUM_REPLAY, REPLAY = "medium-expert", "ranked", "medium-replay", "replay"
+TIERS = (EXPERT, EXPERT_STOCHASTIC, MEDIUM, RANDOM, MEDIUM_EXPERT, RANKED, MEDIUM_REPLAY, REPLAY)
+# Tiers that are recorded while a policy is trained.
+RECORDED = (MEDIUM_REPLAY, REPLAY)
 # Medium is the rung whose return is nearest to this share of the expert's: between a third and a half.
+# The training run of medium-replay ends at the first actor that reaches it.
 MEDIUM_SHARE = 0.42
 # Number of policies that make ranked data, the expert included.
 RANKS = 5
@@ -52,8 +58,9 @@ def load_policy(
 
     Args:
         variant: a variant or its id.
-        tier: ``expert``, ``medium`` or ``random``; ignored when ``path`` is given. Several policies make
-            ``medium-expert`` and ``ranked``: :func:`~imujoco_minari.policies.tiers.parts` returns them.
+        tier: ``expert``, ``expert-stochastic``, ``medium`` or ``random``; ignored when ``path`` is given.
+            Several policies make ``medium-expert`` and ``ranked``:
+            :func:`~imujoco_minari.policies.tiers.parts` returns them.
         path: a Stable-Baselines3 ``.zip`` or an actor's ``.safetensors`` to use instead.
         stochastic: sample actions instead of taking their mode.
 
@@ -132,10 +139,10 @@ def _makers(variant: Variant, tier: str, path: str | Path | None, stochastic: bo
     if path is not None:
         actor = read_actor(path, deterministic=not stochastic).for_robot(variant.robot)
         return [(actor, {})]
-    if tier == REPLAY:
+    if tier in RECORDED:
         raise PolicyNotFoundError(
-            f"no single policy makes the tier {REPLAY}: it is recorded while a policy is trained, "
-            f"with `imujoco train {variant} --record-replay`"
+            f"no single policy makes the tier {tier}: it is recorded while a policy is trained, "
+            f"with `{making(variant.dataset_id(tier))}`"
         )
     if not isinstance(tier, str) or tier not in _MAKERS:
         near = suggestion(tier, TIERS) if isinstance(tier, str) else ""
@@ -148,6 +155,10 @@ def _makers(variant: Variant, tier: str, path: str | Path | None, stochastic: bo
 
 def _expert(variant: Variant, deterministic: bool) -> list[_Maker]:
     return [(expert_actor(variant, deterministic=deterministic), {})]
+
+
+def _expert_stochastic(variant: Variant, deterministic: bool) -> list[_Maker]:
+    return _expert(variant, deterministic=False)
 
 
 def _medium(variant: Variant, deterministic: bool) -> list[_Maker]:
@@ -190,12 +201,13 @@ def _ranked(variant: Variant, deterministic: bool) -> list[_Maker]:
 
 _MAKERS: dict[str, Callable[[Variant, bool], list[_Maker]]] = {
     EXPERT: _expert,
+    EXPERT_STOCHASTIC: _expert_stochastic,
     MEDIUM: _medium,
     RANDOM: _random,
     MEDIUM_EXPERT: _medium_expert,
     RANKED: _ranked,
 }
-_ONE_POLICY = (EXPERT, MEDIUM, RANDOM)
+_ONE_POLICY = (EXPERT, EXPERT_STOCHASTIC, MEDIUM, RANDOM)
 
 
 def _read_rung(variant: Variant, rung: Mapping[str, Any], deterministic: bool) -> Actor:

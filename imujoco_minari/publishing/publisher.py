@@ -15,7 +15,6 @@ from typing import Any
 
 import gymnasium as gym
 import h5py
-import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from minari.data_collector import EpisodeBuffer
 
@@ -30,6 +29,7 @@ from imujoco_minari.errors import (
 )
 from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies.references import reference_scores
+from imujoco_minari.policies.tiers import MEDIUM_REPLAY
 from imujoco_minari.publishing.recipes import Recipe, algorithms, description
 from imujoco_minari.publishing.shares import OnEpisode, record_shares
 from imujoco_minari.storage import file_format, minari_root, transactions
@@ -106,6 +106,7 @@ def publish(
         PolicyNotFoundError: if there is no policy for the variant and the tier.
         StorageError: if the root cannot be written.
         DatasetError: if the check of the new dataset fails.
+        TrainingError: if the run of the tier ``medium-replay`` does not reach its return.
 
     Example:
         >>> published = publish("hopper-massdec_25_leggeom", tier="random", episodes=5)
@@ -117,9 +118,13 @@ def publish(
         parsed = Variant.parse(recipe) if isinstance(recipe, str) else recipe
         path = None if policy is None else Path(policy)
         recipe = Recipe(parsed, tier, episodes, seed, path, stochastic)
-    if transactions.taken(recipe.dataset_id) and not force:
-        _check_same_recipe(recipe.dataset_id, recipe.stated())
-        return _read_outcome(recipe.dataset_id, created=False)
+    if recipe.tier == MEDIUM_REPLAY:
+        # That module imports this one.
+        from imujoco_minari.publishing.training_data import record_medium_replay
+
+        return record_medium_replay(recipe, force=force, on_episode=on_episode)
+    if found := find_published(recipe.dataset_id, recipe.stated(), force=force):
+        return found
     start = time.monotonic()
     made_by = recipe.parts()
     references = {} if isinstance(recipe.variant, Ranges) else reference_scores(recipe.variant)
@@ -170,11 +175,9 @@ def publish_episodes(
         DatasetError: if the check of the new dataset fails.
     """
     dataset_id = dataset.dataset_id
-    if transactions.taken(dataset_id) and not force:
-        _check_same_recipe(
-            dataset_id, {key: dataset.metadata[key] for key in _ORIGIN_KEYS if key in dataset.metadata}
-        )
-        return _read_outcome(dataset_id, created=False)
+    origin = {key: dataset.metadata[key] for key in _ORIGIN_KEYS if key in dataset.metadata}
+    if found := find_published(dataset_id, origin, force=force):
+        return found
     start = time.monotonic()
     with transactions.staging(dataset_id) as folder:
         staged = folder / "dataset"
@@ -194,8 +197,19 @@ def publish_episodes(
 _ORIGIN_KEYS = ("source", "source_sha256", "seed", "policy_sha256")
 
 
-def _check_same_recipe(dataset_id: str, asked: Mapping[str, Any]) -> None:
-    """Raise a DatasetExistsError if the dataset with this id differs from the requested one."""
+def find_published(dataset_id: str, asked: Mapping[str, Any], *, force: bool) -> Published | None:
+    """Return the outcome if the root has the requested dataset already; None if it is to be made.
+
+    Args:
+        dataset_id: the dataset's id.
+        asked: metadata that distinguish the requested dataset from others with the same id.
+        force: replace what exists: the answer is None.
+
+    Raises:
+        DatasetExistsError: if the dataset with this id differs from the requested one.
+    """
+    if force or not transactions.taken(dataset_id):
+        return None
     stated = read_metadata(minari_root.dataset_folder(dataset_id) / "data")
     differing = {key: value for key, value in asked.items() if stated.get(key, value) != value}
     if differing:
@@ -205,6 +219,7 @@ def _check_same_recipe(dataset_id: str, asked: Mapping[str, Any]) -> None:
             f"{dataset_id} is already published, but differs: it has {has}; you asked for {wanted}. "
             "Replace it with --force (force=True), or choose another tier"
         )
+    return _read_outcome(dataset_id, created=False)
 
 
 def _format_value(key: str, value: Any) -> str:
@@ -225,7 +240,9 @@ def _check_and_commit(staged: Path, dataset: NewDataset, force: bool) -> bool:
             "content_sha256": file_format.content_sha256(file, len(file)),
         }
         file.attrs.update({**dataset.attributes, "mjcf": dataset.mjcf, **digests})
-    complete_metadata(data, {**dataset.metadata, **dataset.attributes, **digests, "dataset_id": dataset_id})
+        returns = [float(file[name].attrs["rewards_sum"]) for name in file]
+    stated = {**dataset.metadata, **dataset.attributes, **digests, **file_format.return_statistics(returns)}
+    complete_metadata(data, stated | {"dataset_id": dataset_id})
     findings = inspect(data, replay_episodes=1)
     if findings:
         raise DatasetError(f"{dataset_id}: not published, because its check found: {findings[0]}")
@@ -274,21 +291,24 @@ def _read_outcome(dataset_id: str, *, created: bool, seconds: float = 0.0) -> Pu
     path = minari_root.dataset_folder(dataset_id)
     try:
         with h5py.File(file_format.main_file(path / "data"), "r") as file:
-            returns = [file[name].attrs["rewards_sum"] for name in file]
+            returns = [float(file[name].attrs["rewards_sum"]) for name in file]
             steps = sum(int(file[name].attrs["total_steps"]) for name in file)
             digest = str(file.attrs.get("content_sha256", ""))
+        if not returns:
+            raise ValueError("it has no episodes")
     except (OSError, KeyError, ValueError, TypeError, AttributeError, RuntimeError) as error:
         raise DatasetError(
             f"{dataset_id}: {path} exists, but is not a complete dataset of this package: {error}"
         ) from None
+    statistics = file_format.return_statistics(returns)
     return Published(
         dataset_id,
         path,
         created,
         episodes=len(returns),
         steps=steps,
-        return_mean=float(np.mean(returns)),
-        return_std=float(np.std(returns)),
+        return_mean=statistics["return_mean"],
+        return_std=statistics["return_std"],
         content_sha256=digest,
         seconds=seconds,
     )

@@ -9,7 +9,7 @@ from typing import Any
 
 from imujoco_minari.errors import DatasetError
 from imujoco_minari.policies import Policy
-from imujoco_minari.policies.tiers import TierPart, parts
+from imujoco_minari.policies.tiers import MEDIUM_REPLAY, TierPart, parts
 from imujoco_minari.storage import file_format
 from imujoco_minari.variants import EXPERT, Ranges, Variant
 
@@ -28,7 +28,8 @@ class Recipe:
         stochastic: sample the actions instead of taking the policy's mode.
 
     Raises:
-        DatasetError: if ``episodes`` is less than 1 or ``seed`` is negative.
+        DatasetError: if ``episodes`` is less than 1 or ``seed`` is negative, or the tier ``medium-replay``
+            gets more than a seed.
 
     Example:
         >>> Recipe(Variant.parse("hopper-base"), tier="random").dataset_id
@@ -47,6 +48,11 @@ class Recipe:
             raise DatasetError(f"a dataset has at least one episode, not {self.episodes}")
         if self.seed < 0:
             raise DatasetError(f"a seed must not be negative: {self.seed}")
+        if self.tier == MEDIUM_REPLAY and (self.episodes, self.policy, self.stochastic) != (100, None, False):
+            raise DatasetError(
+                f"the tier {MEDIUM_REPLAY} is a training run: it takes a seed, but no number of episodes, "
+                "no policy and no --stochastic"
+            )
 
     @property
     def dataset_id(self) -> str:

@@ -1,11 +1,13 @@
-"""The tier ``replay``: records the transitions of a training run and publishes them."""
+"""The tiers ``replay`` and ``medium-replay``: the transitions of a training run as a dataset."""
 
 from __future__ import annotations
 
 import shutil
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import gymnasium as gym
@@ -14,13 +16,18 @@ from minari.dataset.minari_storage import MinariStorage
 
 from imujoco_minari.envs.mjcf import canonical_mjcf
 from imujoco_minari.envs.registration import environment_spec
+from imujoco_minari.errors import PolicyNotFoundError, TrainingError
+from imujoco_minari.policies import expert_record
 from imujoco_minari.policies.references import reference_scores
-from imujoco_minari.policies.tiers import REPLAY
+from imujoco_minari.policies.tiers import MEDIUM_REPLAY, MEDIUM_SHARE, REPLAY
 from imujoco_minari.publishing.collector import StorageCollector
-from imujoco_minari.publishing.publisher import NewDataset, Published, publish_episodes
+from imujoco_minari.publishing.publisher import NewDataset, Published, find_published, publish_episodes
+from imujoco_minari.publishing.recipes import Recipe
+from imujoco_minari.publishing.shares import OnEpisode
 from imujoco_minari.storage import file_format
 from imujoco_minari.storage.metadata import provenance
 from imujoco_minari.storage.writer import EpisodeStorage, new_storage
+from imujoco_minari.training.hyperparameters import SCRATCH, hyperparameters
 from imujoco_minari.training.run import OnInterval, Progress, Run, Task
 
 
@@ -28,18 +35,77 @@ class WholeEpisodeCollector(StorageCollector):
     """A collector that discards unfinished episodes. Each interval of a training run cuts its last episode.
 
     A cut episode ends neither by termination nor by the time limit, so its replay would not end either.
+
+    Args:
+        env: the environment to step.
+        storage: the storage of the episodes.
+        on_episode: called after each whole episode.
     """
+
+    def __init__(self, env: gym.Env[Any, Any], storage: EpisodeStorage, on_episode: OnEpisode) -> None:
+        super().__init__(env, storage)
+        self._on_episode = on_episode
 
     def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
         """Discard the unfinished episode and begin a new one."""
         self.forget()
         return super().reset(**kwargs)
 
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Step the environment and record the transition."""
+        transition = super().step(action)
+        _, _, terminated, truncated, _ = transition
+        if terminated or truncated:
+            self._on_episode()
+        return transition
+
+
+def record_medium_replay(
+    recipe: Recipe, *, force: bool = False, on_episode: OnEpisode = lambda: None
+) -> Published:
+    """Train on a variant from scratch up to the return of ``medium``, and publish the whole episodes.
+
+    The run ends at the first actor whose return, mean less standard deviation over 100 episodes, reaches
+    0.42 of the expert's. It always computes on the CPU, because a GPU rounds otherwise. The same seed gives
+    the same dataset, bit for bit, on one kind of processor with the same versions.
+
+    Args:
+        recipe: a recipe of the tier. Its seed is that of the run.
+        force: replace the dataset that has the id.
+        on_episode: called after each whole episode.
+
+    Raises:
+        DatasetError: if the check of the new dataset fails.
+        DatasetExistsError: if the root has another dataset with this id and ``force`` is false.
+        PolicyNotFoundError: if the variant has no expert to compare with.
+        TrainingError: if the run does not reach the return.
+    """
+    variant = recipe.variant
+    expert = expert_record(variant)
+    if not expert:
+        raise PolicyNotFoundError(
+            f"{MEDIUM_REPLAY} ends at {MEDIUM_SHARE} of the expert's return, and {variant} has no expert: "
+            f"train one with `imujoco train {variant}`"
+        )
+    target = MEDIUM_SHARE * expert["evaluation"]["return_mean"]
+    task = Task(variant, hyperparameters(variant.robot, SCRATCH), recipe.seed, target=target)
+    with TemporaryDirectory(prefix="imujoco-") as folder:
+        return record_training(
+            task, Path(folder) / "run", MEDIUM_REPLAY, device="cpu", force=force, on_episode=on_episode
+        )
+
 
 def record_training(
-    task: Task, folder: Path, *, force: bool = False, on_interval: OnInterval | None = None
+    task: Task,
+    folder: Path,
+    tier: str = REPLAY,
+    *,
+    device: str | None = None,
+    force: bool = False,
+    on_interval: OnInterval | None = None,
+    on_episode: OnEpisode = lambda: None,
 ) -> Published:
-    """Train a task to its end and publish its complete episodes as the variant's tier ``replay``.
+    """Train a task to its end and publish its whole episodes as a tier of the variant.
 
     A killed run must start again, because its transitions are stored nowhere else. The policy is not
     installed.
@@ -47,41 +113,54 @@ def record_training(
     Args:
         task: the training run.
         folder: state of the run. Its present content is removed.
+        tier: the tier of the dataset.
+        device: see :func:`~imujoco_minari.training.agents.make_agent`.
         force: replace the dataset that has the id.
         on_interval: called with the run's progress and hyperparameters after every interval.
+        on_episode: called after each whole episode.
 
     Raises:
         DatasetExistsError: if the root has another dataset with this id and ``force`` is false.
         DatasetError: if the check of the new dataset fails.
+        TrainingError: if the task has a target and does not reach it.
     """
+    # The tiers have transitions of this variant only, not of milder variants.
+    task = replace(task, settings=replace(task.settings, stones=0))
+    dataset_id = task.variant.dataset_id(tier)
+    asked = {"seed": task.seed, "hyperparameters": task.settings.asdict()}
+    if found := find_published(dataset_id, asked, force=force):
+        return found
+    start = time.monotonic()
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    # The tier has transitions of this variant only, not of milder variants.
-    task = replace(task, settings=replace(task.settings, stones=0))
     storages: list[EpisodeStorage] = []
 
     def record(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
         storages.append(new_storage(folder / "recorded", env, {}))
-        return WholeEpisodeCollector(env, storages[0])
+        return WholeEpisodeCollector(env, storages[0], on_episode)
 
-    run = Run(task, folder, record)
+    run = Run(task, folder, record, device)
     try:
         run.train(on_interval)
     finally:
         run.close()
         for storage in storages:
             storage.flush()
-    dataset_id = task.variant.dataset_id(REPLAY)
+    if run.progress.best_score < task.target < float("inf"):
+        raise TrainingError(
+            f"{dataset_id}: the run has reached a return of {run.progress.best_score:.0f} in "
+            f"{run.progress.steps} steps, not {task.target:.0f}; another seed (--seed) may reach it"
+        )
     dataset = NewDataset(
         dataset_id,
-        file_format.attributes(task.variant, REPLAY) | {"source": dataset_id},
+        file_format.attributes(task.variant, tier) | {"source": dataset_id},
         canonical_mjcf(task.variant),
-        _dataset_metadata(task, run.progress),
+        _dataset_metadata(task, run.progress) | asked,
     )
     recorded = _read_episodes(folder / "recorded")
     published = publish_episodes(dataset, environment_spec(task.variant), recorded, force=force)
     shutil.rmtree(folder)
-    return published
+    return replace(published, seconds=time.monotonic() - start)
 
 
 def _read_episodes(recorded: Path) -> Iterator[EpisodeBuffer]:
@@ -94,17 +173,16 @@ def _read_episodes(recorded: Path) -> Iterator[EpisodeBuffer]:
 
 def _dataset_metadata(task: Task, progress: Progress) -> dict[str, Any]:
     algorithm = task.settings.algorithm
+    end = "" if task.target == float("inf") else f", up to a return of {task.target:.0f}"
     return {
         **reference_scores(task.variant),
         **provenance(
             algorithm=algorithm,
             description=(
                 f"iMuJoCo, rebuilt: the transitions of a training run of {algorithm} on {task.variant}, "
-                f"{progress.steps} steps from {task.start}, in the order of the run. "
+                f"{progress.steps} steps from {task.start}{end}, in the order of the run. "
                 "Episodes that an evaluation cut short are left out."
             ),
         ),
         "policy_deterministic": False,
-        "seed": task.seed,
-        "hyperparameters": task.settings.asdict(),
     }

@@ -16,9 +16,10 @@ import numpy as np
 
 from imujoco_minari.envs.differences import differences
 from imujoco_minari.errors import VariantError
-from imujoco_minari.policies.tiers import RANDOM, REPLAY, TIERS
+from imujoco_minari.policies.tiers import EXPERT_STOCHASTIC, MEDIUM_REPLAY, RANDOM, REPLAY, TIERS
 from imujoco_minari.storage.file_format import MAIN_FILE, REPLAYABLE
 from imujoco_minari.storage.metadata import read_metadata
+from imujoco_minari.storage.missing import making
 from imujoco_minari.variants import EXPERT, Variant, parse_dataset_id
 
 # The author that datasets of this package state.
@@ -203,19 +204,21 @@ def _reproducing_command(metadata: Mapping[str, Any]) -> str:
     if metadata.get("author") != [OUR_AUTHOR]:
         return ""
     if tier == REPLAY:
-        return f"imujoco train {variant} --record-replay"
+        return making(variant.dataset_id(tier))
     if tier not in TIERS:
         return ""
     return _publish_command(variant, tier, metadata)
 
 
 def _publish_command(variant: Variant, tier: str, metadata: Mapping[str, Any]) -> str:
-    command = (
-        f"imujoco publish {variant} --episodes {metadata['total_episodes']} --seed {metadata.get('seed', 0)}"
-    )
+    command = f"imujoco publish {variant}"
+    if tier != MEDIUM_REPLAY:
+        command += f" --episodes {metadata['total_episodes']}"
+    command += f" --seed {metadata.get('seed', 0)}"
     if tier != EXPERT:
         command += f" --tier {tier}"
-    if tier != RANDOM and not metadata.get("policy_deterministic", True):
+    sampled = tier in (EXPERT_STOCHASTIC, MEDIUM_REPLAY, RANDOM)
+    if not sampled and not metadata.get("policy_deterministic", True):
         command += " --stochastic"
     return command
 

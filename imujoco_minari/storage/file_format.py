@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -132,6 +133,19 @@ def content_sha256(file: h5py.File, episodes: int) -> str:
 def dataset_sha256(digests: Iterable[str]) -> str:
     """Return the digest of a dataset from its episodes' digests, in order."""
     return hashlib.sha256("".join(f"{digest}\n" for digest in digests).encode()).hexdigest()
+
+
+def return_statistics(returns: Sequence[float]) -> dict[str, float]:
+    """Return the mean and the standard deviation of episodes' returns, under their metadata keys.
+
+    The sums are exact, so every processor gets the same bits. Returns that are too large to add give NaN.
+    """
+    try:
+        mean = math.fsum(returns) / len(returns)
+        variance = math.fsum((value - mean) ** 2 for value in returns) / len(returns)
+    except (OverflowError, ValueError):
+        mean = variance = math.nan
+    return {"return_mean": mean, "return_std": math.sqrt(variance)}
 
 
 def file_sha256(path: Path) -> str:

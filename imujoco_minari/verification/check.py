@@ -37,6 +37,7 @@ class PartialCheck:
         identities: of the part's, each once, as the attributes that name variant and tier.
         runs: numbers and attributes of the first episodes that state other attributes of their policy.
         unreplayed: number of the part's that were imported without seeds.
+        returns: of the part's, as stated.
         digests: of the part's, as stored.
     """
 
@@ -50,6 +51,7 @@ class PartialCheck:
     identities: list[dict[str, str]] = field(default_factory=list)
     runs: list[tuple[int, dict[str, Any]]] = field(default_factory=list)
     unreplayed: int = 0
+    returns: list[float] = field(default_factory=list)
     digests: list[str] = field(default_factory=list)
 
     def to_json(self) -> str:
@@ -147,6 +149,7 @@ def _check_episode(
     attributes = expected.policy_attributes(episode.attributes)
     if not part.runs or part.runs[-1][1] != attributes:
         part.runs.append((number, attributes))
+    part.returns.append(float(episode.attributes["rewards_sum"]))
     part.unreplayed += not structure.is_replayed(episode.attributes)
     part.findings += identity.episode(episode, number, variant, root, metadata)
     changed = list(digests.arrays(episode, read))
@@ -176,6 +179,7 @@ def _check_whole(findings: list[Finding], data: Path, parts: Sequence[PartialChe
         episodes=len(sealed),
         runs=[run for part in parts for run in part.runs],
         unreplayed=sum(part.unreplayed for part in parts),
+        returns=[value for part in parts for value in part.returns],
         repeated=len(sealed) - len(set(sealed)),
     )
     findings += identity.whole(root, metadata, content)

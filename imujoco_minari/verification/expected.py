@@ -18,7 +18,7 @@ from imujoco_minari.errors import ImujocoError
 from imujoco_minari.policies import expert_record
 from imujoco_minari.policies.references import reference_scores
 from imujoco_minari.policies.rollouts import episode_seed
-from imujoco_minari.policies.tiers import REPLAY, TierPart, parts
+from imujoco_minari.policies.tiers import RECORDED, TierPart, parts
 from imujoco_minari.storage import file_format
 from imujoco_minari.storage.metadata import PACKAGES, code_address, requirements
 from imujoco_minari.variants import NAMESPACE, Variant, specification
@@ -44,6 +44,7 @@ class Content:
         runs: the number of the first episode of each run of episodes that have the same attributes of
             their policy (``rank``, ``rung``, ...), and these attributes.
         unreplayed: number of episodes that were imported without seeds.
+        returns: return of each episode.
         repeated: number of episodes that are equal to an earlier one.
     """
 
@@ -51,6 +52,7 @@ class Content:
     episodes: int
     runs: Sequence[tuple[int, Mapping[str, Any]]]
     unreplayed: int
+    returns: Sequence[float]
     repeated: int
 
 
@@ -61,7 +63,7 @@ def is_collection(metadata: Mapping[str, Any]) -> bool:
 
 def is_recorded(metadata: Mapping[str, Any]) -> bool:
     """Return whether a dataset is the record of a training run, whose seeds are its own."""
-    return metadata.get("tier") == REPLAY and "policy_sha256" not in metadata
+    return metadata.get("tier") in RECORDED and "policy_sha256" not in metadata
 
 
 def is_randomised(metadata: Mapping[str, Any]) -> bool:
@@ -123,6 +125,9 @@ def compare(metadata: Mapping[str, Any], content: Content) -> tuple[list[Finding
     """
     exceptions = list(_exceptions(metadata, content))
     expected = _identity(metadata, content) | _versions(metadata, content)
+    # Collections and datasets of earlier versions state no returns.
+    statistics = file_format.return_statistics(content.returns)
+    expected |= {key: value for key, value in statistics.items() if key in metadata}
     found: list[Finding] = []
     if not is_collection(metadata):
         variant, tier = content.identities[0]

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import ANY
 
 import minari
 import numpy as np
@@ -90,18 +92,40 @@ def test_the_policy_of_a_tier_can_be_loaded(tier: str, sha256: str) -> None:
     assert policy.algorithm == "TQC"
 
 
+def test_the_stochastic_expert_is_a_tier_that_states_its_own_return() -> None:
+    policy = load_policy(VARIANT, tier="expert-stochastic")
+    assert (policy.sha256, policy.deterministic) == (scaled(1.0).sha256, False)
+    sampled = publish(VARIANT, tier="expert-stochastic", episodes=3)
+    taken = publish(VARIANT, episodes=3)
+    assert sampled.dataset_id == f"imujoco/{VARIANT}-expert-stochastic-v0"
+    assert sampled.content_sha256 != taken.content_sha256
+    assert publish(VARIANT, tier="expert-stochastic", episodes=3, jobs=2, force=True) == replace(
+        sampled, seconds=ANY
+    )
+    for outcome, deterministic in ((sampled, False), (taken, True)):
+        metadata = minari.load_dataset(outcome.dataset_id).storage.metadata
+        returns = [float(episode.rewards.sum()) for episode in minari.load_dataset(outcome.dataset_id)]
+        assert metadata["policy_deterministic"] is deterministic
+        assert metadata["return_mean"] == pytest.approx(np.mean(returns), rel=1e-12)
+        assert metadata["return_std"] == pytest.approx(np.std(returns), rel=1e-9)
+        assert (verify(outcome.dataset_id), verify(outcome.dataset_id).exceptions) == ([], ())
+
+
 @pytest.mark.parametrize(("tier", "count"), [("medium-expert", 2), ("ranked", 5)])
 def test_a_tier_of_several_policies_says_how_to_get_them(tier: str, count: int) -> None:
     with pytest.raises(
         PolicyNotFoundError,
-        match=rf"{count} policies make the tier '{tier}': .*parts\(\) .*valid here: expert, medium, random,",
+        match=rf"{count} policies make the tier '{tier}': .*parts\(\) .*valid here: expert, expert-stoch",
     ):
         load_policy(VARIANT, tier=tier)
 
 
 @pytest.mark.parametrize(("tier", "shown"), [(None, "None"), (5, "5"), (["expert"], r"\['expert'\]")])
 def test_a_tier_of_another_type_is_refused(tier: Any, shown: str) -> None:
-    with pytest.raises(PolicyNotFoundError, match=f"no policy makes the tier {shown}; valid: expert, medium"):
+    with pytest.raises(
+        PolicyNotFoundError,
+        match=f"no policy makes the tier {shown}; valid: expert, expert-stochastic, medium",
+    ):
         load_policy(VARIANT, tier=tier)
 
 
@@ -125,11 +149,14 @@ def test_a_ranked_dataset_is_sound_and_carries_rank_and_return_and_the_same_with
 
 def test_a_tier_that_cannot_be_made_says_what_can() -> None:
     with pytest.raises(
-        PolicyNotFoundError, match=r"'medum' \(did you mean 'medium'\?\); valid: expert, medium, random"
+        PolicyNotFoundError,
+        match=r"'medum' \(did you mean 'medium'\?\); valid: expert, expert-stochastic, medium, random",
     ):
         made("medum", 1)
     with pytest.raises(PolicyNotFoundError, match="--record-replay"):
         made("replay", 1)
+    with pytest.raises(PolicyNotFoundError, match=r"with `imujoco publish \S+ --tier medium-replay`"):
+        made("medium-replay", 1)
     with pytest.raises(
         PolicyNotFoundError, match="no ladder of policies exists for walker2d-massinc_7_leggeom"
     ):

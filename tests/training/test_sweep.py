@@ -20,7 +20,6 @@ from imujoco_minari.errors import CatalogueError, PolicyError, PolicyNotFoundErr
 from imujoco_minari.policies import expert_actor, expert_record, expert_variants, policies_folder
 from imujoco_minari.policies.evaluation import Evaluation, evaluate
 from imujoco_minari.publishing.publisher import publish
-from imujoco_minari.publishing.training_data import record_training
 from imujoco_minari.training import sweep
 from imujoco_minari.training.agents import (
     actor_of,
@@ -36,7 +35,6 @@ from imujoco_minari.training.run import CONFIRMING_SEED, Run, Task
 from imujoco_minari.training.starts import START_SEED, best_start
 from imujoco_minari.training.sweep import Plan, Trained, train, train_all
 from imujoco_minari.variants import ROBOTS, Variant
-from imujoco_minari.verification import verify
 
 BASE = Variant.parse("hopper-base")
 LIGHT_LEG = Variant.parse("hopper-massdec_25_leggeom")
@@ -177,20 +175,6 @@ def test_a_whole_robot_gets_a_generalist_to_start_from(
     assert mass[2:6] == ["2", "20", f"{np.mean(shares):.2f}", f"{min(shares):.2f}"]
     # All is there: nothing is trained again.
     assert [outcome.created for outcome in train_all(variants, plan)] == [False, False]
-
-
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_a_recorded_run_publishes_its_whole_episodes(tmp_path: Path) -> None:
-    task = Task(LIGHT_LEG, hyperparameters("hopper", SCRATCH, **TINY))
-    published = record_training(task, tmp_path / "run")
-    dataset = minari.load_dataset(published.dataset_id)
-    assert published.dataset_id == "imujoco/hopper-massdec_25_leggeom-replay-v0"
-    # Three of four intervals cut an episode short; none of those is there.
-    assert dataset.total_episodes > 5
-    assert all(episode.terminations[-1] or episode.truncations[-1] for episode in dataset)
-    assert 200 < dataset.total_steps < 400
-    assert verify(published.dataset_id) == []
-    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")

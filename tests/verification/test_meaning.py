@@ -75,7 +75,8 @@ class Dataset:
             self.file[f"episode_{place}"].attrs["id"] = place
         self.episodes = [self.file[f"episode_{place}"] for place in range(len(numbers))]
         steps = sum(int(episode.attrs["total_steps"]) for episode in self.episodes)
-        self.set(total_episodes=len(numbers), total_steps=steps)
+        returns = [float(episode.attrs["rewards_sum"]) for episode in self.episodes]
+        self.set(total_episodes=len(numbers), total_steps=steps, **file_format.return_statistics(returns))
 
     def spec(self, **values: Any) -> str:
         return json.dumps(json.loads(self.metadata["env_spec"]) | values)
@@ -160,6 +161,7 @@ CHANGES: dict[str, tuple[str, Callable[[Dataset], Any], str]] = {
     "episodes swapped": (BASE, lambda d: d.arrange(1, 0, 2), "episode_0@seed"),
     "another base seed": (BASE, lambda d: d.set(seed=1), "@seed"),
     "no base seed": (BASE, lambda d: d.set(seed=...), "metadata.json/seed"),
+    "another return": (BASE, lambda d: d.set(return_mean=1e4), "metadata.json/return_mean"),
     "an expert's reference": (EXPERT, lambda d: evaluation(d, "max", 1.0), "ref_max_score"),
     "a random reference": (EXPERT, lambda d: evaluation(d, "min", -1e6), "ref_min_score"),
     "a score without its evaluation": (BASE, lambda d: d.set(ref_max_score=1.0), "ref_max_score"),
