@@ -23,6 +23,7 @@ from gymnasium.envs.registration import load_env_creator
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
+from imujoco_minari.envs import gl
 from imujoco_minari.envs.mjcf import compile_mjcf, healthy_z_range, model_text, variant_model
 from imujoco_minari.envs.untrusted_mjcf import check_mjcf
 from imujoco_minari.errors import CatalogueError, VariantError
@@ -79,6 +80,17 @@ class VariantEnv(MujocoEnv, EzPickle):
             self._check_page()
 
     robot_environment: str
+
+    def render(self) -> Any:
+        """Return a picture, or show it in a window in the mode ``human``.
+
+        Raises:
+            RenderingError: when no OpenGL works for off-screen pictures.
+        """
+        # Gymnasium would try GLFW first, which fails without a display.
+        if self.render_mode != "human":
+            gl.backend()
+        return super().render()  # type: ignore[no-untyped-call]
 
     @property
     def mjcf(self) -> str:

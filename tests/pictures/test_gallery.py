@@ -14,12 +14,12 @@ import pytest
 
 from imujoco_minari import policies, publish
 from imujoco_minari.cli.app import run
+from imujoco_minari.envs import gl
 from imujoco_minari.envs.differences import differences
 from imujoco_minari.errors import DependencyError, PolicyError, RenderingError, StorageError
 from imujoco_minari.pictures.gallery import build, clips, entries
 from imujoco_minari.pictures.gallery.clips import ClipMaker
 from imujoco_minari.pictures.gallery.pages import short, snippets, summary
-from imujoco_minari.pictures.rendering import gl
 from imujoco_minari.policies import RandomPolicy
 from imujoco_minari.variants import Variant, catalogue
 

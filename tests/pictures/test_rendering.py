@@ -16,6 +16,7 @@ from PIL import Image
 
 from imujoco_minari import combine_datasets, publish
 from imujoco_minari.cli.app import run
+from imujoco_minari.envs import gl
 from imujoco_minari.envs.mjcf import canonical_mjcf, compile_mjcf
 from imujoco_minari.errors import (
     DatasetError,
@@ -26,7 +27,7 @@ from imujoco_minari.errors import (
     StorageError,
     VariantError,
 )
-from imujoco_minari.pictures.rendering import frame_steps, gl, render_motions
+from imujoco_minari.pictures.rendering import frame_steps, render_motions
 from imujoco_minari.pictures.rendering.files import write_picture, write_video
 from imujoco_minari.pictures.rendering.film import (
     caption_height,

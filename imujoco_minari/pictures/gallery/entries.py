@@ -74,8 +74,22 @@ class Entry:
     @property
     def best(self) -> Score:
         """The score that sorts the variant: the expert's, or else the highest."""
-        expert = [score for score in self.scores if score.tier == EXPERT]
-        return expert[0] if expert else max(self.scores, key=lambda score: score.return_mean)
+        return self.score(EXPERT) or max(self.scores, key=lambda score: score.return_mean)
+
+    def score(self, tier: str) -> Score | None:
+        """Return the score of a tier, or None if there is none."""
+        return next((score for score in self.scores if score.tier == tier), None)
+
+
+def normalised(score: Score, base: Entry | None) -> float | None:
+    """Return a return on the scale of the base robot: 0 is its random policy, 1 its expert.
+
+    A variant's own expert would always be 1. None if the base robot has no expert.
+    """
+    expert, random = (base and base.score(tier) for tier in (EXPERT, RANDOM))
+    if expert is None or random is None:
+        return None
+    return (score.return_mean - random.return_mean) / (expert.return_mean - random.return_mean)
 
 
 def changes(variant: Variant) -> tuple[Difference, ...]:

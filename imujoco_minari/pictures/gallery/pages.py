@@ -10,7 +10,7 @@ from string import Template
 
 from imujoco_minari.envs.differences import Difference
 from imujoco_minari.pictures.gallery.clips import SIZE
-from imujoco_minari.pictures.gallery.entries import Entry, Score
+from imujoco_minari.pictures.gallery.entries import Entry, Score, normalised
 from imujoco_minari.policies.tiers import RANDOM
 from imujoco_minari.variants import BASE, CATEGORIES, EXPERT, Variant, specification
 
@@ -28,8 +28,9 @@ def index_page(entries: Sequence[Entry]) -> str:
     variants = [entry.variant for entry in entries]
     changed = sum(variant.category != BASE for variant in variants)
     experts = sum(entry.best.tier == EXPERT for entry in entries)
+    base_of = {entry.variant: entry for entry in entries if entry.variant.category == BASE}
     return _load_template("index.html").substitute(
-        count=len(entries),
+        count=f"{changed} of {changed} variants, {len(entries) - changed} of {len(entries) - changed} bases",
         changed=_format_count(changed, "variant"),
         bases=_format_count(len(entries) - changed, "base robot"),
         experts=experts,
@@ -42,7 +43,10 @@ def index_page(entries: Sequence[Entry]) -> str:
             (str(percent), _format_percent(percent))
             for percent in sorted({v.percent for v in variants if v.percent})
         ),
-        cards="\n".join(_render_card(entry, number) for number, entry in enumerate(entries)),
+        cards="\n".join(
+            _render_card(entry, base_of.get(entry.variant.base), number)
+            for number, entry in enumerate(entries)
+        ),
     )
 
 
@@ -61,6 +65,7 @@ def variant_page(entry: Entry, base: Entry | None, neighbours: tuple[Variant | N
         figures.insert(0, _render_figure(base, "base robot"))
     return _load_template("variant.html").substitute(
         name=escape(str(variant)),
+        heading=_add_break_points(variant),
         summary=escape(summary(variant)),
         version=escape(version("imujoco-minari")),
         category=escape(variant.category),
@@ -115,9 +120,9 @@ def snippets(entry: Entry) -> list[tuple[str, str, str]]:
     ]
 
 
-def _render_card(entry: Entry, number: int) -> str:
+def _render_card(entry: Entry, base: Entry | None, number: int) -> str:
     variant, best = entry.variant, entry.best
-    title = _title(variant.robot)
+    title, share = _title(variant.robot), normalised(best, base)
     words = (
         " ".join((str(variant), title, variant.category, *variant.mjcf_names, short(variant)))
         .lower()
@@ -126,13 +131,14 @@ def _render_card(entry: Entry, number: int) -> str:
     return (
         f'<li class="card" data-robot="{variant.robot}" data-category="{variant.category}" '
         f'data-body="{escape(variant.body)}" data-percent="{variant.percent or ""}" '
-        f'data-return="{best.return_mean:.6g}" data-order="{number}" data-words="{escape(words)}">'
+        f'data-return="{best.return_mean:.6g}" data-normalised="{"" if share is None else f"{share:.6g}"}" '
+        f'data-order="{number}" data-words="{escape(words)}">'
         f'<a href="variants/{variant}.html">'
         f'<img src="portraits/{variant}.webp" width="{SIZE[0]}" height="{SIZE[1]}" loading="lazy" alt="">'
         f'<span class="name">{_add_break_points(variant)}</span></a>'
         f'<p class="what {variant.category}">{escape(short(variant))}</p>'
         f'<p class="score"><span class="tier">{escape(best.tier)}</span> '
-        f"{_format_number(best.return_mean)}</p></li>"
+        f"{_format_number(best.return_mean)}{_format_normalised(share)}</p></li>"
     )
 
 
@@ -160,7 +166,7 @@ def _render_figure(entry: Entry, label: str) -> str:
         f'aria-label="{escape(f"{variant}, {label}. {words}")}">'
         f'<source src="../clips/{variant}.mp4" type="video/mp4">'
         f'<a href="../clips/{variant}.mp4">The clip, an MP4 file</a></video>'
-        f"<figcaption><strong>{escape(str(variant))}</strong>, {escape(label)}. {escape(words)}"
+        f"<figcaption><strong>{_add_break_points(variant)}</strong>, {escape(label)}. {escape(words)}"
         "</figcaption></figure>"
     )
 
@@ -184,12 +190,12 @@ def _render_changes(changes: Sequence[Difference]) -> str:
 
 
 def _render_scores(entry: Entry, base: Entry | None) -> str:
-    of_base = {score.tier: score for score in base.scores} if base is not None else {}
-    rows = (_format_score_row(entry.variant, score, of_base.get(score.tier)) for score in entry.scores)
+    rows = (_format_score_row(entry.variant, score, base) for score in entry.scores)
     columns = (
         "Tier",
         "Return",
         "Base robot&rsquo;s",
+        "Normalised",
         "Episode length",
         "Episodes",
         "Policy",
@@ -199,11 +205,14 @@ def _render_scores(entry: Entry, base: Entry | None) -> str:
     return _render_table("Policies and returns", columns, rows, text=("Policy", "From", "Dataset"))
 
 
-def _format_score_row(variant: Variant, score: Score, base: Score | None) -> tuple[str, ...]:
+def _format_score_row(variant: Variant, score: Score, base: Entry | None) -> tuple[str, ...]:
+    of_base = None if base is None else base.score(score.tier)
+    share = normalised(score, base)
     return (
         escape(score.tier),
         f"{_format_number(score.return_mean)} ± {_format_number(score.return_std)}",
-        DASH if base is None else _format_number(base.return_mean),
+        DASH if of_base is None else _format_number(of_base.return_mean),
+        DASH if share is None else _format_share(share),
         f"{score.length_mean:.0f} steps",
         str(score.episodes),
         escape(score.algorithm if score.tier != RANDOM else "uniform actions"),
@@ -256,7 +265,7 @@ def _render_code(title: str, text: str, language: str) -> str:
 def _render_neighbour_link(variant: Variant | None, relation: str, label: str) -> str:
     if variant is None:
         return "<span></span>"
-    return f'<a rel="{relation}" href="{variant}.html">{label}: {variant}</a>'
+    return f'<a rel="{relation}" href="{variant}.html">{label}: {_add_break_points(variant)}</a>'
 
 
 def _render_options(values: Iterable[tuple[str, str]]) -> str:
@@ -283,6 +292,14 @@ def _format_change(change: Difference) -> str:
 def _format_number(value: float) -> str:
     digits = 0 if abs(value) >= 100 else 1
     return f"{value:,.{digits}f}".replace("-", MINUS)
+
+
+def _format_share(share: float) -> str:
+    return f"{share:.2f}".replace("-", MINUS)
+
+
+def _format_normalised(share: float | None) -> str:
+    return "" if share is None else f' <span class="normalised">{_format_share(share)}</span>'
 
 
 def _format_significant(value: float) -> str:

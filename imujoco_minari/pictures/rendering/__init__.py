@@ -1,7 +1,7 @@
 """Pictures and videos of variants, drawn off-screen.
 
 :mod:`~imujoco_minari.pictures.rendering.motion` and ``recorded`` compute the motion, ``framing`` places the
-camera, ``scene`` sets colours and lights, ``gl`` and ``studio`` draw, ``film`` arranges the pictures and
+camera, ``scene`` sets colours and lights, ``studio`` draws, ``film`` arranges the pictures and
 ``files`` writes them.
 """
 

@@ -10,9 +10,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from imujoco_minari.envs.gl import new_context
 from imujoco_minari.envs.mjcf import model_text
 from imujoco_minari.pictures.rendering.framing import AZIMUTH, ELEVATION, Camera
-from imujoco_minari.pictures.rendering.gl import new_context
 from imujoco_minari.pictures.rendering.scene import scene_model
 from imujoco_minari.variants import Variant, bases
 

@@ -28,6 +28,8 @@ function startFilters(form) {
     "": (a, b) => a.dataset.order - b.dataset.order,
     high: (a, b) => b.dataset.return - a.dataset.return,
     low: (a, b) => a.dataset.return - b.dataset.return,
+    "high-normalised": (a, b) => b.dataset.normalised - a.dataset.normalised,
+    "low-normalised": (a, b) => a.dataset.normalised - b.dataset.normalised,
     name: (a, b) => a.dataset.words.localeCompare(b.dataset.words),
   };
   let sorted = "";
@@ -51,20 +53,22 @@ function startFilters(form) {
     }
   }
 
+  function ofAll(kind) {
+    return `${kind.filter((card) => !card.hidden).length} of ${kind.length}`;
+  }
+
   function show() {
     const wanted = Object.fromEntries(fields.map((name) => [name, form.elements[name].value]));
-    let shown = 0;
-    for (const card of cards) {
-      card.hidden = !matches(card, wanted);
-      shown += !card.hidden;
-    }
+    for (const card of cards) card.hidden = !matches(card, wanted);
     if (wanted.sort !== sorted) {
       list.append(...[...cards].sort(orders[wanted.sort]));
       sorted = wanted.sort;
     }
     for (const name of ["robot", "category", "body", "percent"]) offer(name, wanted);
-    document.getElementById("none").hidden = shown > 0;
-    document.getElementById("count").textContent = `${shown} of ${cards.length} variants`;
+    document.getElementById("none").hidden = cards.some((card) => !card.hidden);
+    const variants = cards.filter((card) => card.dataset.category !== "base");
+    const bases = cards.filter((card) => card.dataset.category === "base");
+    document.getElementById("count").textContent = `${ofAll(variants)} variants, ${ofAll(bases)} bases`;
     const kept = new URLSearchParams(fields.filter((name) => wanted[name]).map((name) => [name, wanted[name]]));
     attempt(() => history.replaceState(null, "", kept.size ? `#${kept}` : location.pathname + location.search));
     attempt(() => sessionStorage.setItem("filters", kept.toString()));
