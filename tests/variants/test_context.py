@@ -19,7 +19,7 @@ from imujoco_minari.variants.context import (
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_parameters_come_in_the_order_of_categories_and_of_the_page(robot: str) -> None:
     names = parameters(robot)
-    changes = specification(robot).changes
+    changes = specification(robot).categories
     assert len(names) == len(set(names))
     places = [
         (CATEGORIES.index(category), list(changes[category].bodies).index(body))
