@@ -35,7 +35,7 @@ from imujoco_minari.errors import BenchmarkError, JobError
 from imujoco_minari.loading import Arrays, arrays
 from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies import Actor
-from imujoco_minari.variants import BASE, ROBOTS, Variant
+from imujoco_minari.variants import ROBOTS, Variant
 
 NAME = "offline-v1"
 FILE = "offline.jsonl"
@@ -213,4 +213,4 @@ def algorithm_settings(name: str) -> dict[str, Any]:
 
 
 def _base(robot: str) -> Variant:
-    return Variant(robot, BASE, 0, "")
+    return Variant(robot)

@@ -128,4 +128,4 @@ def _cell(value: Any) -> str:
         return "yes" if value else "-"
     if isinstance(value, list):
         return ", ".join(value) or "-"
-    return f"{value:+d}" if isinstance(value, int) else str(value)
+    return f"{value:+g}" if isinstance(value, int | float) else str(value)

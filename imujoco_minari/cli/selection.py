@@ -62,6 +62,12 @@ class Filters:
             VariantError: when there is no such robot or category.
         """
         chosen = catalogue(self.robot, self.category)
+        if not chosen:
+            of = f" of {self.robot}" if self.robot else ""
+            raise VariantError(
+                f"the catalogue lists no {self.category or ''} variants{of}; name one with any percent, "
+                "as in hopper-gearinc_50_thighjoint"
+            )
         if not self.with_base:
             return list(chosen)
         return [each for base in dict.fromkeys(v.base for v in chosen) for each in (base, *_of(chosen, base))]

@@ -62,9 +62,17 @@ def _quantities(before: mujoco.MjModel, after: mujoco.MjModel) -> Iterator[tuple
             first, second = _friction(before, geom.id), _friction(after, twin.id)
             yield f"friction of {name} on floor", first, second, "1"
     for joint in map(before.joint, range(before.njnt)):
+        twin = _same(after.joint, joint)
         for side, end in (("lower", 0), ("upper", 1)):
-            first, second = (np.degrees(each.range[end]) for each in (joint, _same(after.joint, joint)))
+            first, second = (np.degrees(each.range[end]) for each in (joint, twin))
             yield f"{side} limit of {joint.name}", first, second, "deg"
+        # Of a hinge; a sliding joint has N s/m and kg.
+        yield f"damping of {joint.name}", joint.damping[0], twin.damping[0], "N m s/rad"
+        yield f"armature of {joint.name}", joint.armature[0], twin.armature[0], "kg m²"
+    for i in range(before.nu):
+        name = before.joint(int(before.actuator_trnid[i][0])).name
+        yield f"gear of {name}", before.actuator_gear[i][0], after.actuator_gear[i][0], "N m"
+    yield "gravity", -before.opt.gravity[2], -after.opt.gravity[2], "m/s²"
     yield "height of the root", before.body_pos[1][2], after.body_pos[1][2], "m"
 
 

@@ -26,7 +26,7 @@ from imujoco_minari.envs.untrusted_mjcf import (
     one_line,
 )
 from imujoco_minari.errors import ModelError
-from imujoco_minari.variants import BASE, Variant
+from imujoco_minari.variants import Variant
 
 _POSITIONED = ("geom", "joint", "site", "camera", "light", "inertial")
 _TURNED = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
@@ -121,7 +121,7 @@ def _text(numbers: Any) -> str:
 
 def _check_robot(model: mujoco.MjModel, robot: str, name: str) -> None:
     """Raise a ModelError unless bodies, joints and actuators are the robot's, in its order."""
-    base = mjcf.compile_mjcf(mjcf.canonical_mjcf(Variant(robot, BASE, 0, "")))
+    base = mjcf.compile_mjcf(mjcf.canonical_mjcf(Variant(robot)))
     for kind, theirs, ours in (
         ("bodies", _names(model, "body", model.nbody), _names(base, "body", base.nbody)),
         ("joints", _names(model, "joint", model.njnt), _names(base, "joint", base.njnt)),

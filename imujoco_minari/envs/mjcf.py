@@ -22,7 +22,7 @@ from imujoco_minari.envs.categories.capsules import compile_shape
 from imujoco_minari.envs.categories.interface import find
 from imujoco_minari.envs.untrusted_mjcf import check_mjcf
 from imujoco_minari.errors import ModelError
-from imujoco_minari.variants import BASE, Variant, carried_page, specification
+from imujoco_minari.variants import Variant, carried_page, specification
 from imujoco_minari.variants.original import OriginalVariant
 
 Floats = NDArray[np.float64]
@@ -156,7 +156,7 @@ class _Edited(NamedTuple):
 def _edited(variant: Variant) -> _Edited:
     spec = _baked(variant.robot)
     try:
-        shift = sum((apply_changes(spec, change) for change in variant.changes), 0.0)
+        shift = apply_changes(spec, variant)
         return _Edited(spec, spec.compile(), shift)
     except ModelError as error:
         raise ModelError(f"{variant}: {error}") from None
@@ -165,7 +165,7 @@ def _edited(variant: Variant) -> _Edited:
 
 
 def apply_changes(spec: mujoco.MjSpec, variant: Variant) -> float:
-    """Apply the change of a variant to its robot's model.
+    """Apply the changes of a variant to its robot's model, in their order.
 
     Args:
         spec: the model of the base robot, as :func:`bake` returns it. It is changed in place.
@@ -177,12 +177,13 @@ def apply_changes(spec: mujoco.MjSpec, variant: Variant) -> float:
     Raises:
         ModelError: when the model has no such part.
     """
-    if variant.category == BASE:
-        return 0.0
-    category = BY_NAME[variant.category]
-    clearance = lowest_point(compile_shape(spec)) if category.moves_limbs else 0.0
-    category.apply(Edit(spec, variant.mjcf_names, variant.factor, specification(variant.robot)))
-    return _stand(spec, clearance) if category.moves_limbs else 0.0
+    page = specification(variant.robot)
+    stands = any(BY_NAME[change.category].moves_limbs for change in variant.changes)
+    clearance = lowest_point(compile_shape(spec)) if stands else 0.0
+    for change in variant.changes:
+        names = change.mjcf_names(variant.robot)
+        BY_NAME[change.category].apply(Edit(spec, names, change.factor, page))
+    return _stand(spec, clearance) if stands else 0.0
 
 
 def _stand(spec: mujoco.MjSpec, clearance: float) -> float:

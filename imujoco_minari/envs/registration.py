@@ -254,12 +254,13 @@ def load_catalogue(path: str | Path) -> tuple[str, ...]:
 def _register_robot(robot: str) -> None:
     # Straight into the registry: gym.register() compares versions over the whole registry at each
     # call, and 172 calls would take a third of a second of every import.
-    for variant in (*catalogue(robot), Variant(robot, BASE, 0, "")):
+    for variant in (*catalogue(robot), Variant(robot)):
         spec = environment_spec(variant)
         registry.setdefault(spec.id, spec)
     for category in (None, *specification(robot).categories):
-        spec = collection_spec(f"{robot}-{category or 'all'}", catalogue(robot, category))
-        registry.setdefault(spec.id, spec)
+        if variants := catalogue(robot, category):
+            spec = collection_spec(f"{robot}-{category or 'all'}", variants)
+            registry.setdefault(spec.id, spec)
     spec = _randomised_spec(robot, {})
     registry.setdefault(spec.id, spec)
 

@@ -37,6 +37,7 @@ class Origin:
     body: str = ""
     percent: float = 0
     tier: str = ""
+    changes: str = ""
 
 
 ATTRIBUTES = tuple(field.name for field in fields(Origin))

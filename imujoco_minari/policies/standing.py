@@ -72,8 +72,10 @@ def standings(
         for category in categories:
             if category != BASE and category not in specification(robot).categories:
                 continue
-            base = (Variant(robot, BASE, 0, ""),)
+            base = (Variant(robot),)
             variants = base if category == BASE else catalogue(robot, category)
+            if not variants:
+                continue
             records = [record for variant in variants if (record := expert_record(variant, folder))]
             shares = [share for record in records if (share := share_of_base(record, folder)) is not None]
             lines.append(

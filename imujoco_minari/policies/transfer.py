@@ -22,7 +22,7 @@ from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies import Policy, expert_actor, expert_variants
 from imujoco_minari.policies.evaluation import Evaluation, evaluate
 from imujoco_minari.storage.files import write_text
-from imujoco_minari.variants import BASE, Variant, catalogue
+from imujoco_minari.variants import Variant, catalogue
 
 FORMAT = 2
 COLUMNS = (
@@ -99,7 +99,7 @@ def columns(robot: str, category: str | None = None) -> tuple[Variant, ...]:
     Raises:
         VariantError: if the robot or the category does not exist.
     """
-    return (Variant(robot, BASE, 0, ""), *catalogue(robot, category))
+    return (Variant(robot), *catalogue(robot, category))
 
 
 def evaluate_transfer(

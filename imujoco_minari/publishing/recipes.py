@@ -106,7 +106,8 @@ def description(recipe: Recipe, made_by: Sequence[TierPart]) -> str:
         change = f"with parameters drawn for each episode ({variant.distribution}): {', '.join(drawn)}"
     else:
         change = " and ".join(
-            f"with the {one.category} of {', '.join(one.mjcf_names)} changed by {one.percent:+g} %"
+            f"with the {one.category} of {', '.join(one.mjcf_names(variant.robot))} "
+            f"changed by {one.percent:+g} %"
             for one in variant.changes
         )
         change = change or "unchanged"

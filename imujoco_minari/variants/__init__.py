@@ -1,14 +1,16 @@
 """Variant ids, the catalogue, the robots' specifications and the named splits.
 
-A variant is a robot with one physical parameter changed. This package names variants and lists them; it
-knows nothing of MuJoCo, Gymnasium or datasets.
+A variant is a robot with one or several physical parameters changed. This package names variants and lists
+them; it knows nothing of MuJoCo, Gymnasium or datasets.
 """
 
 from imujoco_minari.variants.ids import (
     BASE,
+    COMPOUND,
     EXPERT,
     MAX_PERCENT,
     NAMESPACE,
+    Change,
     Variant,
     bases,
     catalogue,
@@ -30,11 +32,13 @@ from imujoco_minari.variants.splits import HeldOut, held_out, held_out_names
 __all__ = [
     "BASE",
     "CATEGORIES",
+    "COMPOUND",
     "DISTRIBUTIONS",
     "EXPERT",
     "MAX_PERCENT",
     "NAMESPACE",
     "ROBOTS",
+    "Change",
     "HeldOut",
     "Listing",
     "Ranges",

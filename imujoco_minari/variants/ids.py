@@ -1,6 +1,7 @@
 """Variant ids: their one parser, their one formatter, and the catalogue's list.
 
-A *variant* is a robot with one *category* of physical parameter changed by a signed *percent* on one *body*.
+A *change* is a *category* of physical parameter, a signed *percent* of the base value, and a *body*. A
+*variant* is a robot with one change or several.
 """
 
 from __future__ import annotations
@@ -17,66 +18,154 @@ from imujoco_minari.variants.robots import ROBOTS, adopt_page, carried_page, kno
 
 NAMESPACE = "imujoco"
 BASE = "base"
+COMPOUND = "compound"
 EXPERT = "expert"
 # Beyond this a model still compiles but means nothing; it also bounds hostile ids.
 MAX_PERCENT = 10_000
+# Decimals of a percent. An id must stay short and exact.
+MAX_DECIMALS = 2
 
-_ID = re.compile(
-    r"(?P<robot>[a-z0-9]+)-(?P<category>[a-z]+?)(?P<sign>inc|dec)_(?P<percent>[0-9]+(?:p[0-9]+)?)_(?P<body>[a-z0-9]+)"
+_CHANGE = re.compile(
+    r"(?P<category>[a-z]+?)(?P<sign>inc|dec)_(?P<percent>[0-9]+(?:p[0-9]+)?)_(?P<body>[a-z0-9]+)", re.ASCII
 )
-# One change of an id, as in massdec_25_leggeom or massinc_37p5_leggeom.
-_CHANGE = re.compile(r"[a-z]+?(?:inc|dec)_[0-9]+(?:p[0-9]+)?_[a-z0-9]+", re.ASCII)
 _DATASET_ID = re.compile(r"(?:(?P<namespace>[-_\w/]+)/)?(?P<name>[-_\w]+)-v(?P<version>[0-9]{1,6})")
 _TIER = re.compile(r"[a-z][a-z0-9_]*(?:-[a-z][a-z0-9_]*)*")
+_GRAMMAR = (
+    "valid: <robot>-<category><inc|dec>_<percent>_<body>, as in hopper-massdec_25_leggeom, "
+    "several such changes joined by -, or <robot>-base"
+)
 
 
 @dataclass(frozen=True, order=True)
-class Variant:
-    """One robot with one physical parameter changed, or the unchanged base robot.
+class Change:
+    """One physical parameter of a robot, changed.
 
     Attributes:
-        robot: a robot that has a page, as in ``hopper``.
-        category: ``mass``, ``joint``, ``length`` or ``friction``; ``base`` for the base robot.
-        percent: signed change in percent of the base value, with at most two decimals; 0 for the base robot.
-        body: the MJCF name without underscores, ``feet`` for friction; empty for the base robot.
-
-    Raises:
-        VariantError: when the four do not name a variant.
+        category: one of :data:`CATEGORIES`.
+        percent: signed change in percent of the base value, with at most two decimals.
+        body: the MJCF name without underscores, or a group that the robot's page names.
     """
 
-    # The namespace of the ids of environments and datasets. Other catalogues have others.
-    namespace: ClassVar[str] = NAMESPACE
-
-    robot: str
     category: str
     percent: float
     body: str
 
     def __post_init__(self) -> None:
-        specification(self.robot)
-        if self.category == BASE:
-            if self.percent or self.body:
-                raise VariantError(f"{self.robot}-{BASE}: the base robot has no percent and no body")
-            return
-        change = _listing(self.robot, self.category)
-        if self.body not in change.bodies:
-            raise VariantError(
-                f"{self.robot} has no body {self.body!r} for {self.category}"
-                f"{suggestion(self.body, change.bodies)}; valid: {', '.join(change.bodies)}"
-            )
-        check_percent(self.percent)
+        if (
+            isinstance(self.percent, bool)
+            or not isinstance(self.percent, int | float)
+            or not abs(self.percent) < float("inf")
+            or round(self.percent, MAX_DECIMALS) != self.percent
+        ):
+            raise VariantError(f"percent must be a number with at most two decimals, not {self.percent!r}")
+        # 50 and 50.0 are one change, with one id.
         if isinstance(self.percent, float) and self.percent.is_integer():
             object.__setattr__(self, "percent", int(self.percent))
+
+    def __str__(self) -> str:
+        number = f"{abs(self.percent):.{MAX_DECIMALS}f}".rstrip("0").rstrip(".").replace(".", "p")
+        return f"{self.category}{'inc' if self.percent >= 0 else 'dec'}_{number}_{self.body}"
+
+    @classmethod
+    def parse(cls, text: str) -> Change:
+        """Return the change that ``text``, a part of a variant id, names.
+
+        Raises:
+            VariantError: when it is malformed.
+        """
+        match = _CHANGE.fullmatch(text)
+        if match is None:
+            raise VariantError(f"malformed change {clipped(text)!r}; {_GRAMMAR}")
+        whole, _, decimals = match["percent"].partition("p")
+        if len(whole) > 1 and whole[0] == "0":
+            raise VariantError("write the percent without leading zeros")
+        if decimals.endswith("0") or len(decimals) > MAX_DECIMALS:
+            raise VariantError("write the percent with at most two decimals, without zeros at the end")
+        if len(whole) > len(str(MAX_PERCENT)):
+            raise VariantError(f"the percent is too large; valid: at most {MAX_PERCENT}")
+        if match["percent"] == "0" and match["sign"] == "dec":
+            raise VariantError("write a change of 0 % as inc_0")
+        size = float(f"{whole}.{decimals or 0}")
+        return cls(match["category"], size if match["sign"] == "inc" else -size, match["body"])
+
+    @property
+    def factor(self) -> float:
+        """The factor on the base value, ``1 + percent / 100``."""
+        return (100 + self.percent) / 100
+
+    def mjcf_names(self, robot: str) -> tuple[str, ...]:
+        """Return the names of the model's parts that are changed on a robot.
+
+        Raises:
+            VariantError: when the robot has no such category or body.
+        """
+        listing = _listing(robot, self.category)
+        names = listing.names(self.body)
+        if not names:
+            known = (*listing.bodies, *listing.groups)
+            raise VariantError(
+                f"{robot} has no body {clipped(self.body)!r} for {self.category}"
+                f"{suggestion(self.body[:80], known)}; valid: {', '.join(known)}"
+            )
+        return names
+
+    def check(self, robot: str) -> None:
+        """Check that a robot can be changed so.
+
+        Raises:
+            VariantError: when it cannot.
+        """
+        names = self.mjcf_names(robot)
         if self.percent <= -100:
             raise VariantError(
                 f"percent {self.percent} leaves nothing of the {self.category}; valid: above -100"
             )
         if self.percent > MAX_PERCENT:
             raise VariantError(f"percent {self.percent} is too large; valid: at most {MAX_PERCENT}")
-        if self.category == "joint" and self.percent > 0:
+        fixed = [name for name in names if name not in _listing(robot, self.category).widen]
+        if self.category == "joint" and self.percent > 0 and fixed:
             raise VariantError(
-                f"a joint's range can only shrink, not grow by {self.percent} %; valid: -99 to 0"
+                f"the range of {fixed[0]} can only shrink, not grow by {self.percent} %; valid: -99 to 0"
             )
+
+
+@dataclass(frozen=True, order=True)
+class Variant:
+    """One robot with one or several physical parameters changed, or the unchanged base robot.
+
+    Attributes:
+        robot: a robot that has a page, as in ``hopper``.
+        changes: the changes, in the order of :data:`CATEGORIES` and then as the page lists the bodies; empty
+            for the base robot. They may be given in any order.
+
+    Raises:
+        VariantError: when the robot has no such category or body, or a parameter is changed twice.
+
+    Example:
+        >>> str(Variant("hopper", (Change("friction", -50, "feet"), Change("mass", 50, "torsogeom"))))
+        'hopper-massinc_50_torsogeom-frictiondec_50_feet'
+    """
+
+    # The namespace of the ids of environments and datasets. Other catalogues have others.
+    namespace: ClassVar[str] = NAMESPACE
+
+    robot: str
+    changes: tuple[Change, ...] = ()
+
+    def __post_init__(self) -> None:
+        specification(self.robot)
+        parameters: set[tuple[str, str]] = set()
+        for change in self.changes:
+            change.check(self.robot)
+            for name in change.mjcf_names(self.robot):
+                if (change.category, name) in parameters:
+                    raise VariantError(f"{self.robot}: the {change.category} of {name} is changed twice")
+                parameters.add((change.category, name))
+        object.__setattr__(self, "changes", tuple(sorted(self.changes, key=self._place)))
+
+    def _place(self, change: Change) -> tuple[int, int]:
+        listing = specification(self.robot).categories[change.category]
+        return CATEGORIES.index(change.category), [*listing.bodies, *listing.groups].index(change.body)
 
     @classmethod
     def parse(cls, text: str) -> Variant:
@@ -93,63 +182,44 @@ class Variant:
         name = text.removeprefix(f"{NAMESPACE}/").removesuffix("-v0")
         robot, _, rest = name.partition("-")
         if rest == BASE:
-            return cls(robot, BASE, 0, "")
-        words = rest.split("-")
-        if len(words) > 1 and all(map(_CHANGE.fullmatch, words)):
-            from imujoco_minari.variants.compound import compound
-
-            return compound(cls.parse(f"{robot}-{word}") for word in words)
-        match = _ID.fullmatch(name)
-        if match is None:
-            raise VariantError(
-                f"malformed variant id {clipped(text)!r}{suggestion(name[:80], _known_ids())}; "
-                "valid: <robot>-<category><inc|dec>_<percent>_<body>, "
-                "as in hopper-massdec_25_leggeom, or <robot>-base"
-            )
-        digits, _, decimals = match["percent"].partition("p")
-        if len(digits) > 1 and digits[0] == "0":
-            raise VariantError(f"{clipped(text)!r}: write the percent without leading zeros")
-        if decimals[-1:] == "0" or len(decimals) > 2:
-            raise VariantError(
-                f"{clipped(text)!r}: write the percent with at most two decimals, without zeros at the end"
-            )
-        if len(digits) > len(str(MAX_PERCENT)):
-            raise VariantError(f"{clipped(text)!r}: the percent is too large; valid: at most {MAX_PERCENT}")
-        if digits == "0" and not decimals and match["sign"] == "dec":
-            raise VariantError(f"{clipped(text)!r}: write a change of 0 % as inc_0")
-        percent = float(f"{digits}.{decimals}") if decimals else int(digits)
+            return cls(robot)
+        parts = rest.split("-")
+        if not all(map(_CHANGE.fullmatch, parts)):
+            near = suggestion(name[:80], _known_ids())
+            raise VariantError(f"malformed variant id {clipped(text)!r}{near}; {_GRAMMAR}")
         try:
-            sign = 1 if match["sign"] == "inc" else -1
-            return cls(match["robot"], match["category"], sign * percent, match["body"])
+            return cls(robot, tuple(map(Change.parse, parts)))
         except VariantError as error:
             raise VariantError(f"{clipped(text)!r}: {error}") from None
 
     def __reduce__(self) -> tuple[Callable[..., Variant], tuple[object, ...]]:
         # Another process may not know a robot of the user: its page travels with the variant.
         page = carried_page(self.robot)
-        values = (self.robot, self.category, self.percent, self.body)
-        return _with_page, (type(self), None if page is None else dict(page), *values)
+        carried = None if page is None else dict(page)
+        return _with_page, (type(self), carried, self.robot, self.changes)
 
     def __str__(self) -> str:
-        if self.category == BASE:
-            return f"{self.robot}-{BASE}"
-        sign = "inc" if self.percent >= 0 else "dec"
-        return f"{self.robot}-{self.category}{sign}_{str(abs(self.percent)).replace('.', 'p')}_{self.body}"
+        return "-".join((self.robot, *map(str, self.changes))) if self.changes else f"{self.robot}-{BASE}"
 
     @property
-    def changes(self) -> tuple[Variant, ...]:
-        """The changes of single parameters, in the order of contexts; none for the base robot."""
-        return () if self.category == BASE else (self,)
+    def category(self) -> str:
+        """The category of the one change; ``compound`` for several, ``base`` for none."""
+        return self.changes[0].category if len(self.changes) == 1 else COMPOUND if self.changes else BASE
 
     @property
-    def factor(self) -> float:
-        """The factor on the base value, ``1 + percent / 100``."""
-        return (100 + self.percent) / 100
+    def percent(self) -> float:
+        """The percent of the one change; 0 for several or none."""
+        return self.changes[0].percent if len(self.changes) == 1 else 0
+
+    @property
+    def body(self) -> str:
+        """The body of the one change; empty for several or none."""
+        return self.changes[0].body if len(self.changes) == 1 else ""
 
     @property
     def base(self) -> Variant:
         """The unchanged robot of this variant."""
-        return Variant(self.robot, BASE, 0, "")
+        return Variant(self.robot)
 
     def milder(self, count: int) -> tuple[Variant, ...]:
         """Return variants between the base and this one, in even steps of percent, the mildest first.
@@ -157,16 +227,28 @@ class Variant:
         Args:
             count: how many; fewer where whole percents do not suffice, none for the base robot.
         """
-        percents = (round(self.percent * step / (count + 1)) for step in range(1, count + 1))
-        between = dict.fromkeys(percent for percent in percents if percent not in (0, self.percent))
-        return tuple(replace(self, percent=percent) for percent in between)
+        steps = [
+            tuple(round(change.percent * step / (count + 1)) for change in self.changes)
+            for step in range(1, count + 1)
+        ]
+        whole = tuple(change.percent for change in self.changes)
+        between = dict.fromkeys(step for step in steps if any(step) and step != whole)
+        return tuple(
+            replace(
+                self,
+                changes=tuple(
+                    replace(change, percent=percent)
+                    for change, percent in zip(self.changes, percents, strict=True)
+                ),
+            )
+            for percents in between
+        )
 
     @property
     def mjcf_names(self) -> tuple[str, ...]:
-        """Names of the MJCF geoms (joints, for the category ``joint``) that are changed."""
-        if self.category == BASE:
-            return ()
-        return specification(self.robot).categories[self.category].bodies[self.body]
+        """Names of the parts of the model that are changed, each once."""
+        names = (name for change in self.changes for name in change.mjcf_names(self.robot))
+        return tuple(dict.fromkeys(names))
 
     @property
     def environment_id(self) -> str:
@@ -179,7 +261,8 @@ class Variant:
         Raises:
             VariantError: when ``tier`` is no tier name.
         """
-        if not _TIER.fullmatch(tier) or len(tier) > 40:
+        is_change = any(map(_CHANGE.fullmatch, tier.split("-")))
+        if not _TIER.fullmatch(tier) or len(tier) > 40 or is_change:
             raise VariantError(
                 f"malformed tier {clipped(tier)!r}; valid: lower-case words, as in expert, medium, random"
             )
@@ -213,7 +296,7 @@ def catalogue(robot: str | None = None, category: str | None = None) -> tuple[Va
 
 def bases() -> tuple[Variant, ...]:
     """Return the unchanged robots of the catalogue. Its 154 variants do not include them."""
-    return tuple(Variant(robot, BASE, 0, "") for robot in ROBOTS)
+    return tuple(map(Variant, ROBOTS))
 
 
 def parse_dataset_id(dataset_id: str) -> tuple[Variant, str]:
@@ -241,21 +324,6 @@ def split_name(name: str) -> tuple[str, str]:
     return "-".join(words[:end]), "-".join(words[end:])
 
 
-def check_percent(percent: float) -> None:
-    """Check that a percent is a number with at most two decimals.
-
-    Raises:
-        VariantError: if it is not.
-    """
-    if (
-        isinstance(percent, bool)
-        or not isinstance(percent, int | float)
-        or not abs(percent) < float("inf")
-        or round(percent, 2) != percent
-    ):
-        raise VariantError(f"percent must be a number with at most two decimals, not {percent!r}")
-
-
 def _listing(robot: str, category: str) -> Listing:
     """Return a category of a robot's page; raise a VariantError when the robot has no such category."""
     categories = specification(robot).categories
@@ -271,7 +339,7 @@ def _listing(robot: str, category: str) -> Listing:
 def _listed(robot: str) -> tuple[Variant, ...]:
     """Return the variants that a robot's page lists."""
     return tuple(
-        Variant(robot, category, percent, body)
+        Variant(robot, (Change(category, percent, body),))
         for category, listing in specification(robot).categories.items()
         for body in listing.bodies
         for percent in listing.percents
@@ -280,13 +348,11 @@ def _listed(robot: str) -> tuple[Variant, ...]:
 
 def _known_ids() -> list[str]:
     """Return the listed ids of all known robots and their bases, for suggestions."""
-    return [
-        str(variant) for robot in known_robots() for variant in (*_listed(robot), Variant(robot, BASE, 0, ""))
-    ]
+    return [str(variant) for robot in known_robots() for variant in (*_listed(robot), Variant(robot))]
 
 
-def _with_page(kind: type[Variant], page: Mapping[str, str] | None, robot: str, *values: Any) -> Variant:
+def _with_page(kind: type[Variant], page: Mapping[str, str] | None, robot: str, changes: Any) -> Variant:
     """Return a variant that comes from another process, and make its robot known first."""
     if page is not None:
         adopt_page(robot, page)
-    return kind(robot, *values)
+    return kind(robot, changes)

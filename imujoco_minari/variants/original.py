@@ -12,11 +12,12 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from imujoco_minari.errors import VariantError
-from imujoco_minari.variants import BASE, CATEGORIES, MAX_PERCENT, NAMESPACE, ROBOTS, Variant, specification
+from imujoco_minari.variants import BASE, MAX_PERCENT, NAMESPACE, ROBOTS, Change, Variant, specification
 from imujoco_minari.variants.ids import split_name
 
 ORIGINAL = "imujoco-original"
 RECOLLECTED = "recollected"
+ORIGINAL_CATEGORIES = ("mass", "joint", "length", "friction")
 # The attribute that marks episodes of variants that are not in our grammar; its value is ORIGINAL.
 CATALOGUE = "catalogue"
 
@@ -30,7 +31,7 @@ PARTS: Mapping[str, tuple[str, str]] = {
 }
 
 _ID = re.compile(
-    rf"(?P<robot>{'|'.join(ROBOTS)})-(?P<category>{'|'.join(CATEGORIES)})(?P<sign>inc|dec)"
+    rf"(?P<robot>{'|'.join(ROBOTS)})-(?P<category>{'|'.join(ORIGINAL_CATEGORIES)})(?P<sign>inc|dec)"
     r"_(?P<percent>[0-9]{1,5})_(?P<body>[A-Za-z0-9_]{1,40})",
     re.ASCII,
 )
@@ -48,11 +49,11 @@ class OriginalVariant(Variant):
 
     def __post_init__(self) -> None:
         specification(self.robot)
-        if self.category == BASE:
+        if not self.changes:
             return
-        if self.category not in CATEGORIES or not self.body:
+        if len(self.changes) > 1 or self.category not in ORIGINAL_CATEGORIES or not self.body:
             raise VariantError(
-                f"{self.robot} has no category {self.category!r}; valid: {', '.join(CATEGORIES)}"
+                f"{self.robot} has no category {self.category!r}; valid: {', '.join(ORIGINAL_CATEGORIES)}"
             )
         if not -100 < self.percent <= MAX_PERCENT:
             raise VariantError(
@@ -68,7 +69,7 @@ class OriginalVariant(Variant):
         """
         robot, _, rest = text.partition("-")
         if rest == BASE and robot in ROBOTS:
-            return cls(robot, BASE, 0, "")
+            return cls(robot)
         match = _ID.fullmatch(text)
         if match is None:
             raise VariantError(
@@ -76,7 +77,7 @@ class OriginalVariant(Variant):
                 "valid: <robot>-<category><inc|dec>_<percent>_<body>, as in hopper-massdec_25_leggeom"
             )
         percent = int(match["percent"]) * (1 if match["sign"] == "inc" else -1)
-        return cls(match["robot"], match["category"], percent, match["body"])
+        return cls(match["robot"], (Change(match["category"], percent, match["body"]),))
 
     @property
     def ours(self) -> Variant | None:

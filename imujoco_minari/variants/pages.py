@@ -14,7 +14,8 @@ from typing import Any
 
 from imujoco_minari.errors import CatalogueError, suggestion
 
-CATEGORIES = ("mass", "joint", "length", "friction")
+# The order of changes in ids, and in which they are applied: a mass before the shape that follows from it.
+CATEGORIES = ("mass", "joint", "length", "friction", "gravity", "gear", "damping", "armature", "size")
 
 _ENVIRONMENT = re.compile(r"[A-Z][A-Za-z0-9]*-v5", re.ASCII)
 
@@ -24,12 +25,20 @@ class Listing:
     """What the catalogue lists for one category of one robot.
 
     Attributes:
-        percents: the listed signed changes.
-        bodies: id name -> MJCF names of the geoms or joints behind it.
+        percents: the listed signed changes; empty if the catalogue lists no variants of the category.
+        bodies: id name -> MJCF names of the parts of the model behind it.
+        groups: id name -> MJCF names of the parts that change together. The catalogue does not list them.
+        widen: MJCF names of the joints whose range may also grow.
     """
 
     percents: tuple[int, ...]
     bodies: Mapping[str, tuple[str, ...]]
+    groups: Mapping[str, tuple[str, ...]]
+    widen: tuple[str, ...]
+
+    def names(self, body: str) -> tuple[str, ...]:
+        """Return the MJCF names behind a body or a group; empty if the robot has no such body."""
+        return self.bodies.get(body) or self.groups.get(body) or ()
 
 
 @dataclass(frozen=True)
@@ -67,6 +76,7 @@ class RobotSpecification:
         stance: MJCF name of a joint -> its angle (degrees) in portraits; the other joints stay at rest.
         training: start -> hyperparameters in which the robot differs from all others.
         splits: name -> description and rules of a held-out split over the robot's variants.
+        groups: id name -> MJCF names of parts of the model that may change together.
         categories: category -> its percents and bodies, for the categories of the robot.
     """
 
@@ -85,6 +95,7 @@ class RobotSpecification:
     stance: Mapping[str, float]
     training: Mapping[str, Mapping[str, Any]]
     splits: Mapping[str, Mapping[str, Any]]
+    groups: Mapping[str, tuple[str, ...]]
     categories: Mapping[str, Listing]
 
     @property
@@ -128,6 +139,7 @@ def parse_specification(text: str, name: str) -> RobotSpecification:
             "of Gymnasium's, as in hopper.xml"
         )
     feet = page.names("feet") if "feet" in data else ()
+    groups = page.groups()
     specification = RobotSpecification(
         environment=environment,
         model=model,
@@ -144,8 +156,9 @@ def parse_specification(text: str, name: str) -> RobotSpecification:
         stance=page.numbers("stance"),
         training=page.tables("training", "start, as [training.warm]"),
         splits=page.tables("splits", "split, as [splits.mass-v1]"),
+        groups=groups,
         categories=MappingProxyType(
-            {category: page.listing(category, feet) for category in CATEGORIES if category in data}
+            {category: page.listing(category, feet, groups) for category in CATEGORIES if category in data}
         ),
     )
     if specification.observed_positions >= specification.observation_size:
@@ -223,11 +236,24 @@ class _Page:
             raise self._error("[reward] must hold control_cost and healthy, and nothing else")
         return Reward(**reward)
 
-    def listing(self, category: str, feet: tuple[str, ...]) -> Listing:
+    def groups(self) -> Mapping[str, tuple[str, ...]]:
+        table = self._data.get("groups", {})
+        if not isinstance(table, dict):
+            raise self._error("[groups] must hold lists of names, as in legs = [...]")
+        for name, members in table.items():
+            if not re.fullmatch(r"[a-z0-9]+", name):
+                raise self._error(f"[groups] {name!r} must consist of lower-case letters and digits")
+            if members == []:
+                raise self._error(f"[groups] {name} has no members")
+        return MappingProxyType({n: self._names(members, f"[groups] {n}") for n, members in table.items()})
+
+    def listing(self, category: str, feet: tuple[str, ...], groups: Mapping[str, tuple[str, ...]]) -> Listing:
         table = self._data.get(category)
-        if not isinstance(table, dict) or set(table) != {"percents", "bodies"}:
-            raise self._error(f"[{category}] must hold percents and bodies, and nothing else")
-        percents = table["percents"]
+        allowed = {"percents", "bodies"} | ({"widen"} if category == "joint" else set())
+        if not isinstance(table, dict) or "bodies" not in table or not set(table) <= allowed:
+            other = " and ".join(sorted(allowed - {"bodies"}))
+            raise self._error(f"[{category}] must hold bodies, may hold {other}, and nothing else")
+        percents = table.get("percents", [])
         if not isinstance(percents, list) or not all(
             type(percent) is int and percent > -100 and percent != 0 for percent in percents
         ):
@@ -235,10 +261,19 @@ class _Page:
         names = self._names(table["bodies"], f"[{category}] bodies")
         if "feet" in names and not feet:
             raise self._error(f"[{category}] has the body feet, but the page has no key feet")
-        return Listing(
-            percents=tuple(percents),
-            bodies=MappingProxyType({n.replace("_", ""): feet if n == "feet" else (n,) for n in names}),
-        )
+        bodies = {name.replace("_", ""): feet if name == "feet" else (name,) for name in names}
+        if len(bodies) < len(names):
+            raise self._error(f"[{category}] bodies has two names of one id")
+        widen = self._names(table["widen"], f"[{category}] widen") if "widen" in table else ()
+        for name in widen:
+            if name not in names:
+                raise self._error(f"[{category}] widen has {name!r}, which is not among its bodies")
+        # A group belongs to every category that can change all of its members.
+        own = {name: members for name, members in groups.items() if set(members) <= set(names)}
+        for name in own:
+            if name in bodies:
+                raise self._error(f"[groups] {name} is the name of a body too")
+        return Listing(tuple(percents), MappingProxyType(bodies), MappingProxyType(own), widen)
 
     def _names(self, value: Any, key: str) -> tuple[str, ...]:
         if not isinstance(value, list) or not value or not all(isinstance(item, str) for item in value):

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from imujoco_minari.errors import DrawingError, VariantError, clipped, suggestion
-from imujoco_minari.variants.compound import compound
 from imujoco_minari.variants.context import check_parameters
-from imujoco_minari.variants.ids import BASE, EXPERT, NAMESPACE, Variant
+from imujoco_minari.variants.ids import BASE, EXPERT, NAMESPACE, Change, Variant
 from imujoco_minari.variants.pages import CATEGORIES
 from imujoco_minari.variants.robots import adopt_page, carried_page
 
@@ -87,7 +86,7 @@ class Ranges:
     @property
     def base(self) -> Variant:
         """The unchanged robot."""
-        return Variant(self.robot, BASE, 0, "")
+        return Variant(self.robot)
 
     def dataset_id(self, tier: str = EXPERT) -> str:
         """Return the Minari id of data of a tier, as in ``imujoco/hopper-randomised-random-v0``."""
@@ -98,10 +97,11 @@ class Ranges:
         # Not the generator of the episode: its first numbers decide the initial state.
         generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
         shares = generator.random(len(self.ranges)).tolist()
-        return compound(
-            _single(self.robot, name, self._percent(bounds[0], bounds[1], share))
+        changes = (
+            _change(name, self._percent(bounds[0], bounds[1], share))
             for (name, bounds), share in zip(self.ranges.items(), shares, strict=True)
         )
+        return Variant(self.robot, tuple(changes))
 
     def _percent(self, low: float, high: float, share: float) -> float:
         if self.distribution == LOG_UNIFORM:
@@ -123,11 +123,11 @@ def _check_range(robot: str, name: str, bounds: Sequence[float]) -> None:
         raise DrawingError(f"the range of {name} is {bounds!r}; valid: the lowest and the highest percent")
     for bound in bounds:
         try:
-            _single(robot, name, bound)
+            _change(name, bound).check(robot)
         except VariantError as error:
             raise VariantError(f"the range of {name}: {error}") from None
 
 
-def _single(robot: str, name: str, percent: float) -> Variant:
+def _change(name: str, percent: float) -> Change:
     category, _, body = name.partition("/")
-    return Variant(robot, category, percent, body)
+    return Change(category, percent, body)

@@ -18,7 +18,7 @@ import pytest
 
 from imujoco_minari.envs import mjcf
 from imujoco_minari.envs.mjcf import canonical_mjcf, healthy_z_range
-from imujoco_minari.variants import CATEGORIES, ROBOTS, Variant, bases, catalogue, specification
+from imujoco_minari.variants import CATEGORIES, ROBOTS, Change, Variant, bases, catalogue, specification
 
 ASSETS = Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets"
 MODELS = {"hopper": "hopper.xml", "halfcheetah": "half_cheetah.xml", "walker2d": "walker2d_v5.xml"}
@@ -293,7 +293,7 @@ def test_a_change_of_nothing_is_the_stock_environment_step_for_step(robot: str, 
     ids = {"hopper": "Hopper-v5", "halfcheetah": "HalfCheetah-v5", "walker2d": "Walker2d-v5"}
     for body in specification(robot).categories[category].bodies:
         theirs = gymnasium.make(ids[robot], disable_env_checker=True)
-        ours = make(Variant(robot, category, 0, body), disable_env_checker=True)
+        ours = make(Variant(robot, (Change(category, 0, body),)), disable_env_checker=True)
         rng = np.random.default_rng(1)
         for seed in range(3):
             assert np.array_equal(ours.reset(seed=seed)[0], theirs.reset(seed=seed)[0])

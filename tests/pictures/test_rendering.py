@@ -296,7 +296,7 @@ def test_the_caption_says_what_changes(name: str, words: str) -> None:
 
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_a_video_runs_as_fast_as_the_simulation(robot: str) -> None:
-    motion = moved(Variant(robot, "base", 0, ""), seconds=1.0)
+    motion = moved(Variant(robot), seconds=1.0)
     tempo = pace([motion])
     assert 1 / (tempo.stride * tempo.per_second) == pytest.approx(motion.timestep)
     assert 15 <= tempo.per_second <= 35

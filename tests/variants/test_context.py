@@ -35,7 +35,7 @@ def test_a_context_is_the_relative_change_of_each_parameter() -> None:
         vector = context(variant, names)
         (index,) = np.flatnonzero(vector)
         assert names[index] == f"{variant.category}/{variant.body}"
-        assert 1 + vector[index] == pytest.approx(variant.factor, rel=1e-15)
+        assert 1 + vector[index] == pytest.approx(variant.changes[0].factor, rel=1e-15)
     for base in bases():
         assert not context(base, parameters(base.robot)).any()
         assert percents(base) == {}

@@ -8,25 +8,23 @@ from importlib import resources
 from importlib.metadata import version
 from string import Template
 
+from imujoco_minari.envs.categories import BY_NAME
 from imujoco_minari.envs.differences import Difference
 from imujoco_minari.pictures.gallery.clips import SIZE
 from imujoco_minari.pictures.gallery.entries import Entry, Score, normalised
 from imujoco_minari.policies.tiers import RANDOM
-from imujoco_minari.variants import BASE, CATEGORIES, EXPERT, Variant, specification
+from imujoco_minari.variants import BASE, CATEGORIES, COMPOUND, EXPERT, Variant, specification
 
 MINUS, DASH, SPACE = "\N{MINUS SIGN}", "\N{EN DASH}", "\N{NO-BREAK SPACE}"
-WHAT = {
-    "mass": "mass",
-    "joint": "range of motion",
-    "length": "length",
-    "friction": "friction on the floor",
-}
 
 
 def index_page(entries: Sequence[Entry]) -> str:
     """Return the first page: all variants, with filters and sorting."""
     variants = [entry.variant for entry in entries]
     changed = sum(variant.category != BASE for variant in variants)
+    bodies = sorted({change.body for variant in variants for change in variant.changes})
+    order = (*CATEGORIES, COMPOUND)
+    shown = sorted({v.category for v in variants} - {BASE}, key=order.index)
     experts = sum(entry.best.tier == EXPERT for entry in entries)
     base_of = {entry.variant: entry for entry in entries if entry.variant.category == BASE}
     return _load_template("index.html").substitute(
@@ -37,11 +35,11 @@ def index_page(entries: Sequence[Entry]) -> str:
         version=escape(version("imujoco-minari")),
         robots=_render_options((robot, _title(robot)) for robot in dict.fromkeys(v.robot for v in variants)),
         titles=escape(", ".join(_title(robot) for robot in dict.fromkeys(v.robot for v in variants))),
-        categories=_render_options((name, name) for name in (*CATEGORIES, BASE)),
-        bodies=_render_options((name, name) for name in sorted({v.body for v in variants if v.body})),
+        categories=_render_options((name, name) for name in (*shown, BASE)),
+        bodies=_render_options((name, name) for name in bodies),
         percents=_render_options(
             (str(percent), _format_percent(percent))
-            for percent in sorted({v.percent for v in variants if v.percent})
+            for percent in sorted({c.percent for v in variants for c in v.changes if c.percent})
         ),
         cards="\n".join(
             _render_card(entry, base_of.get(entry.variant.base), number)
@@ -85,12 +83,14 @@ def summary(variant: Variant) -> str:
     """Return in one sentence what a variant is."""
     page = specification(variant.robot)
     robot = f"{page.title} ({page.environment})"
-    if variant.category == BASE:
+    if not variant.changes:
         return f"{robot}, unchanged: all its variants are compared with it."
-    names = " and ".join(variant.mjcf_names)
-    return (
-        f"{robot} with the {WHAT[variant.category]} of {names} changed by {_format_percent(variant.percent)}."
+    changed = (
+        f"the {BY_NAME[change.category].quantity} of {' and '.join(change.mjcf_names(variant.robot))} "
+        f"changed by {_format_percent(change.percent)}"
+        for change in variant.changes
     )
+    return f"{robot} with {', and '.join(changed)}."
 
 
 def snippets(entry: Entry) -> list[tuple[str, str, str]]:
@@ -130,7 +130,8 @@ def _render_card(entry: Entry, base: Entry | None, number: int) -> str:
     )
     return (
         f'<li class="card" data-robot="{variant.robot}" data-category="{variant.category}" '
-        f'data-body="{escape(variant.body)}" data-percent="{variant.percent or ""}" '
+        f'data-body="{escape(" ".join(change.body for change in variant.changes))}" '
+        f'data-percent="{" ".join(str(change.percent) for change in variant.changes if change.percent)}" '
         f'data-return="{best.return_mean:.6g}" data-normalised="{"" if share is None else f"{share:.6g}"}" '
         f'data-order="{number}" data-words="{escape(words)}">'
         f'<a href="variants/{variant}.html">'
@@ -144,10 +145,11 @@ def _render_card(entry: Entry, base: Entry | None, number: int) -> str:
 
 def short(variant: Variant) -> str:
     """Return what a variant changes, in a few words."""
-    if variant.category == BASE:
-        return "unchanged"
-    what = "range" if variant.category == "joint" else variant.category
-    return f"{what} of {variant.body} {_format_percent(variant.percent)}"
+    parts = (
+        f"{BY_NAME[change.category].noun} of {change.body} {_format_percent(change.percent)}"
+        for change in variant.changes
+    )
+    return ", ".join(parts) or "unchanged"
 
 
 def _render_figure(entry: Entry, label: str) -> str:

@@ -89,10 +89,7 @@ def load_series(dataset_id: str) -> Series:
 def with_bases(series: Sequence[Series]) -> tuple[list[Series], list[str]]:
     """Return the series of base robots before the given ones, and the ids of missing base datasets."""
     wanted = dict.fromkeys(
-        Variant(one.robot, BASE, 0, "").dataset_id(tier)
-        for one in series
-        if not one.is_base
-        for tier in one.tiers
+        Variant(one.robot).dataset_id(tier) for one in series if not one.is_base for tier in one.tiers
     )
     labels = {one.label for one in series}
     bases = [name for name in wanted if name.rpartition("/")[2].rpartition("-v")[0] not in labels]

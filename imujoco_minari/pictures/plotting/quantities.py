@@ -7,7 +7,7 @@ from typing import NamedTuple
 import mujoco
 
 from imujoco_minari.envs.mjcf import canonical_mjcf, compile_mjcf
-from imujoco_minari.variants import BASE, Variant
+from imujoco_minari.variants import Variant
 
 
 class Quantity(NamedTuple):
@@ -22,7 +22,7 @@ class Quantity(NamedTuple):
 
 def observation_quantities(robot: str) -> list[Quantity]:
     """Return the columns of an observation: positions without the travelled distance, then velocities."""
-    model = compile_mjcf(canonical_mjcf(Variant(robot, BASE, 0, "")))
+    model = compile_mjcf(canonical_mjcf(Variant(robot)))
     hinges = [model.jnt_type[i] == mujoco.mjtJoint.mjJNT_HINGE for i in range(model.njnt)]
     names = [model.joint(i).name for i in range(model.njnt)]
     positions = [
@@ -38,7 +38,7 @@ def observation_quantities(robot: str) -> list[Quantity]:
 
 def action_quantities(robot: str) -> list[Quantity]:
     """Return the columns of an action: torques as shares of the motor's gear."""
-    model = compile_mjcf(canonical_mjcf(Variant(robot, BASE, 0, "")))
+    model = compile_mjcf(canonical_mjcf(Variant(robot)))
     return [
         Quantity(
             f"action on {model.joint(model.actuator_trnid[i][0]).name}",

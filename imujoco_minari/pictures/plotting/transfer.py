@@ -101,7 +101,7 @@ def _write_numbers(axes: Axes, returns: np.ndarray[tuple[int, ...], np.dtype[np.
 
 
 def _column_label(variant: Variant) -> str:
-    return f"{variant.body} {variant.percent:+g} %" if variant.body else "base"
+    return " and ".join(f"{change.body} {change.percent:+g} %" for change in variant.changes) or "base"
 
 
 def _row_label(name: str) -> str:

@@ -9,11 +9,12 @@ from itertools import repeat
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from imujoco_minari.envs.categories import BY_NAME
 from imujoco_minari.pictures.rendering.framing import Camera, capsules, follow
 from imujoco_minari.pictures.rendering.motion import Motion
 from imujoco_minari.pictures.rendering.scene import COLOURS
 from imujoco_minari.pictures.rendering.studio import Studio
-from imujoco_minari.variants import BASE, Variant
+from imujoco_minari.variants import Variant, specification
 
 FRAMES_PER_SECOND = 25.0
 INK, FAINT, PAPER = (28, 32, 38), (96, 104, 114), (255, 255, 255)
@@ -104,13 +105,13 @@ def grid(pictures: Sequence[Image.Image], columns: int) -> Image.Image:
 
 def change(variant: Variant) -> str:
     """Return what a variant changes, in words."""
-    if variant.category == BASE:
-        return "the unchanged robot"
-    return ", ".join(
-        f"{'range' if change.category == 'joint' else change.category} of "
-        f"{', '.join(change.mjcf_names) or change.body} {change.percent:+g} %"
-        for change in variant.changes
-    )
+    parts = []
+    for change in variant.changes:
+        # The archive's bodies need not be ours.
+        known = specification(variant.robot).categories[change.category]
+        names = ", ".join(known.names(change.body)) or change.body
+        parts.append(f"{BY_NAME[change.category].noun} of {names} {change.percent:+g} %")
+    return ", ".join(parts) or "the unchanged robot"
 
 
 def caption_height(height: int) -> int:

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import mujoco
 
+from imujoco_minari.envs.categories import BY_NAME
 from imujoco_minari.envs.mjcf import model_text
 from imujoco_minari.errors import RenderingError
 from imujoco_minari.pictures.rendering.framing import FIELD_OF_VIEW
-from imujoco_minari.variants import Variant
+from imujoco_minari.variants import Variant, specification
 
 Colour = tuple[float, float, float]
 
@@ -20,11 +21,17 @@ COLOURS: dict[str, Colour] = {
     "joint": (0.0, 0.447, 0.698),
     "length": (0.0, 0.620, 0.451),
     "friction": (0.800, 0.475, 0.655),
+    "gear": (0.902, 0.624, 0.0),
+    "damping": (0.337, 0.706, 0.914),
+    "armature": (0.337, 0.706, 0.914),
+    "size": (0.941, 0.894, 0.259),
 }
 NEAR: Colour = (0.70, 0.72, 0.75)
 # A far leg is darker, because nothing else distinguishes it from the near one.
 FAR: Colour = (0.46, 0.49, 0.54)
 TILE = 1.0
+# The kinds of parts that are drawn at a joint.
+_AT_JOINTS = ("joint", "motor")
 
 
 def scene_model(
@@ -52,14 +59,23 @@ def scene_model(
         if geom.name != "floor":
             geom.material = ""
             geom.rgba = [*(FAR if "left" in geom.name else NEAR), 1.0]
-    for change in variant.changes:
-        if change.category == "joint":
-            for name in change.mjcf_names:
-                _mark_joint(spec.joint(name), COLOURS["joint"])
-        else:
-            for geom in filter(None, map(spec.geom, change.mjcf_names)):
-                geom.rgba = [*COLOURS[change.category], 1.0]
+    # The mark of a joint also tints the limb, so it comes before the colours of limbs.
+    for change in sorted(variant.changes, key=lambda each: BY_NAME[each.category].part not in _AT_JOINTS):
+        part = BY_NAME[change.category].part
+        for name in specification(variant.robot).categories[change.category].names(change.body):
+            if part in _AT_JOINTS:
+                _mark_joint(spec.joint(name), COLOURS[change.category])
+            elif part != "world":
+                _tint(spec, part, name, COLOURS[change.category])
     return spec.compile()
+
+
+def _tint(spec: mujoco.MjSpec, part: str, name: str, colour: Colour) -> None:
+    """Colour a geom, or all geoms of a limb that is named by its body."""
+    geom = spec.geom(name)
+    body = spec.body(name) if part == "limb" and geom is None else None
+    for each in body.geoms if body is not None else filter(None, [geom]):
+        each.rgba = [*colour, 1.0]
 
 
 def _mark_joint(joint: mujoco.MjsJoint, colour: Colour) -> None:

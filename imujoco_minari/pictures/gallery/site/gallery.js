@@ -34,20 +34,25 @@ function startFilters(form) {
   };
   let sorted = "";
 
+  // A variant with several changes has several bodies and percents.
+  function values(card, name) {
+    return card.dataset[name].split(" ");
+  }
+
   function matches(card, wanted, without) {
     const words = wanted.q.toLowerCase().replaceAll("-", "−").split(/\s+/).filter(Boolean);
     const text = card.dataset.words.replaceAll("-", "−");
     return (
       words.every((word) => text.includes(word)) &&
       ["robot", "category", "body", "percent"].every(
-        (name) => name === without || !wanted[name] || card.dataset[name] === wanted[name],
+        (name) => name === without || !wanted[name] || values(card, name).includes(wanted[name]),
       )
     );
   }
 
   // A choice that the other filters leave nothing of is not offered.
   function offer(name, wanted) {
-    const left = new Set(cards.filter((card) => matches(card, wanted, name)).map((card) => card.dataset[name]));
+    const left = new Set(cards.filter((card) => matches(card, wanted, name)).flatMap((card) => values(card, name)));
     for (const option of form.elements[name].options) {
       option.disabled = option.value !== "" && option.value !== wanted[name] && !left.has(option.value);
     }
