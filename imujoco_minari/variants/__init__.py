@@ -4,13 +4,12 @@ A variant is a robot with one or several physical parameters changed. This packa
 them; it knows nothing of MuJoCo, Gymnasium or datasets.
 """
 
+from imujoco_minari.variants.changes import MAX_PERCENT, Change
 from imujoco_minari.variants.ids import (
     BASE,
     COMPOUND,
     EXPERT,
-    MAX_PERCENT,
     NAMESPACE,
-    Change,
     Variant,
     bases,
     catalogue,

@@ -31,7 +31,8 @@ class NamedCollection:
     tier: str = EXPERT
 
     def __post_init__(self) -> None:
-        _ = self.sources
+        if not self.sources:
+            raise VariantError(f"the catalogue lists no {self.category} variants of {self.robot}")
 
     @property
     def dataset_id(self) -> str:

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from imujoco_minari.errors import DrawingError, VariantError, clipped, suggestion
+from imujoco_minari.variants.changes import Change
 from imujoco_minari.variants.context import check_parameters
-from imujoco_minari.variants.ids import BASE, EXPERT, NAMESPACE, Change, Variant
+from imujoco_minari.variants.ids import BASE, EXPERT, NAMESPACE, Variant
 from imujoco_minari.variants.pages import CATEGORIES
 from imujoco_minari.variants.robots import adopt_page, carried_page
 

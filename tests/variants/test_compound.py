@@ -7,10 +7,9 @@ import pickle
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from imujoco_minari.variants.compound import COMPOUND
 
 from imujoco_minari.errors import VariantError
-from imujoco_minari.variants import ROBOTS, Variant, parse_dataset_id, specification
+from imujoco_minari.variants import COMPOUND, ROBOTS, Change, Variant, parse_dataset_id, specification
 from imujoco_minari.variants.context import parameters, percents
 from imujoco_minari.variants.original import names_variant
 

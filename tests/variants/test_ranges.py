@@ -78,7 +78,10 @@ def test_one_parameter_draws_a_simple_variant() -> None:
             "the range of mass/torsogeom: percent -100 leaves nothing",
         ),
         (("hopper", {"mass/torsogeom": (0.001, 5)}), "with at most two decimals, not 0.001"),
-        (("hopper", {"joint/legjoint": (-5, 5)}), "range of joint/legjoint: a joint's range can only shrink"),
+        (
+            ("hopper", {"joint/legjoint": (-5, 5)}),
+            "range of joint/legjoint: the range of leg_joint can only shrink",
+        ),
         (("hopper", TWO, "log_uniform"), r"unknown distribution 'log_uniform' \(did you mean 'log-uniform'"),
         (
             ("hopper", TWO, "uniform", "mass"),

@@ -129,7 +129,9 @@ def robot_tables(path: Path) -> list[int]:
 
 
 def test_no_table_of_robots_stands_outside_the_pages(tmp_path: Path) -> None:
-    found = {path: robot_tables(path) for path in PACKAGE.rglob("*.py")}
+    # The benchmark's published protocols and results are of the robots that they were published for.
+    modules = [path for path in PACKAGE.rglob("*.py") if path.parent.name != "benchmark"]
+    found = {path: robot_tables(path) for path in modules}
     assert {path: lines for path, lines in found.items() if lines} == {}
     other = tmp_path / "other.py"
     other.write_text('SIZES = {"hopper": (11, 3), "walker2d": (17, 6)}')

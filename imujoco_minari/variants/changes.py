@@ -1,0 +1,127 @@
+"""Changes: a category of physical parameter, a signed percent of the base value, and a body."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from imujoco_minari.errors import VariantError, clipped, suggestion
+from imujoco_minari.variants.pages import Listing
+from imujoco_minari.variants.robots import specification
+
+# Beyond this a model still compiles but means nothing; it also bounds hostile ids.
+MAX_PERCENT = 10_000
+# Decimals of a percent. An id must stay short and exact.
+MAX_DECIMALS = 2
+
+CHANGE_ID = re.compile(
+    r"(?P<category>[a-z]+?)(?P<sign>inc|dec)_(?P<percent>[0-9]+(?:p[0-9]+)?)_(?P<body>[a-z0-9]+)", re.ASCII
+)
+GRAMMAR = (
+    "valid: <robot>-<category><inc|dec>_<percent>_<body>, as in hopper-massdec_25_leggeom, "
+    "several such changes joined by -, or <robot>-base"
+)
+
+
+@dataclass(frozen=True, order=True)
+class Change:
+    """One physical parameter of a robot, changed.
+
+    Attributes:
+        category: one of :data:`CATEGORIES`.
+        percent: signed change in percent of the base value, with at most two decimals.
+        body: the MJCF name without underscores, or a group that the robot's page names.
+    """
+
+    category: str
+    percent: float
+    body: str
+
+    def __post_init__(self) -> None:
+        if (
+            isinstance(self.percent, bool)
+            or not isinstance(self.percent, int | float)
+            or not abs(self.percent) < float("inf")
+            or round(self.percent, MAX_DECIMALS) != self.percent
+        ):
+            raise VariantError(f"percent must be a number with at most two decimals, not {self.percent!r}")
+        # 50 and 50.0 are one change, with one id.
+        if isinstance(self.percent, float) and self.percent.is_integer():
+            object.__setattr__(self, "percent", int(self.percent))
+
+    def __str__(self) -> str:
+        number = f"{abs(self.percent):.{MAX_DECIMALS}f}".rstrip("0").rstrip(".").replace(".", "p")
+        return f"{self.category}{'inc' if self.percent >= 0 else 'dec'}_{number}_{self.body}"
+
+    @classmethod
+    def parse(cls, text: str) -> Change:
+        """Return the change that ``text``, a part of a variant id, names.
+
+        Raises:
+            VariantError: when it is malformed.
+        """
+        match = CHANGE_ID.fullmatch(text)
+        if match is None:
+            raise VariantError(f"malformed change {clipped(text)!r}; {GRAMMAR}")
+        whole, _, decimals = match["percent"].partition("p")
+        if len(whole) > 1 and whole[0] == "0":
+            raise VariantError("write the percent without leading zeros")
+        if decimals.endswith("0") or len(decimals) > MAX_DECIMALS:
+            raise VariantError("write the percent with at most two decimals, without zeros at the end")
+        if len(whole) > len(str(MAX_PERCENT)):
+            raise VariantError(f"the percent is too large; valid: at most {MAX_PERCENT}")
+        if match["percent"] == "0" and match["sign"] == "dec":
+            raise VariantError("write a change of 0 % as inc_0")
+        size = float(f"{whole}.{decimals or 0}")
+        return cls(match["category"], size if match["sign"] == "inc" else -size, match["body"])
+
+    @property
+    def factor(self) -> float:
+        """The factor on the base value, ``1 + percent / 100``."""
+        return (100 + self.percent) / 100
+
+    def mjcf_names(self, robot: str) -> tuple[str, ...]:
+        """Return the names of the model's parts that are changed on a robot.
+
+        Raises:
+            VariantError: when the robot has no such category or body.
+        """
+        listing = listing_of(robot, self.category)
+        names = listing.names(self.body)
+        if not names:
+            known = (*listing.bodies, *listing.groups)
+            raise VariantError(
+                f"{robot} has no body {clipped(self.body)!r} for {self.category}"
+                f"{suggestion(self.body[:80], known)}; valid: {', '.join(known)}"
+            )
+        return names
+
+    def check(self, robot: str) -> None:
+        """Check that a robot can be changed so.
+
+        Raises:
+            VariantError: when it cannot.
+        """
+        names = self.mjcf_names(robot)
+        if self.percent <= -100:
+            raise VariantError(
+                f"percent {self.percent} leaves nothing of the {self.category}; valid: above -100"
+            )
+        if self.percent > MAX_PERCENT:
+            raise VariantError(f"percent {self.percent} is too large; valid: at most {MAX_PERCENT}")
+        fixed = [name for name in names if name not in listing_of(robot, self.category).widen]
+        if self.category == "joint" and self.percent > 0 and fixed:
+            raise VariantError(
+                f"the range of {fixed[0]} can only shrink, not grow by {self.percent} %; valid: -99 to 0"
+            )
+
+
+def listing_of(robot: str, category: str) -> Listing:
+    """Return a category of a robot's page; raise a VariantError when the robot has no such category."""
+    categories = specification(robot).categories
+    if category not in categories:
+        raise VariantError(
+            f"{robot} has no category {clipped(category)!r}{suggestion(category[:80], categories)}; "
+            f"valid: {', '.join(categories)}"
+        )
+    return categories[category]
