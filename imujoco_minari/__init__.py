@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from imujoco_minari.policies.references import normalized_score
     from imujoco_minari.publishing.combiner import combine_datasets
     from imujoco_minari.publishing.publisher import publish
+    from imujoco_minari.variants.off_dynamics import off_dynamics
     from imujoco_minari.variants.splits import held_out
     from imujoco_minari.verification import verify
 
@@ -44,6 +45,7 @@ __all__ = [
     "load_policy",
     "make",
     "normalized_score",
+    "off_dynamics",
     "publish",
     "randomised",
     "register",
@@ -61,6 +63,7 @@ _LAZY = {
     "held_out": "variants.splits",
     "load_policy": "policies",
     "normalized_score": "policies.references",
+    "off_dynamics": "variants.off_dynamics",
     "publish": "publishing.publisher",
     "verify": "verification",
 }

@@ -1,0 +1,112 @@
+"""The tasks of ODRL, a benchmark of off-dynamics learning, as variants: ``env_specs/odrl/``.
+
+A task has a source, the unchanged robot with much data, and a target, a variant with little.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from importlib import resources
+
+from imujoco_minari.errors import CatalogueError, VariantError, clipped, suggestion
+from imujoco_minari.variants.ids import Variant
+
+_TABLES = frozenset(("tasks", "notes", "not_expressed"))
+
+
+@dataclass(frozen=True)
+class OffDynamicsTask:
+    """One task of off-dynamics learning.
+
+    Attributes:
+        name: as in ``hopper-friction-0.1``.
+        source: the unchanged robot.
+        target: the variant in which the policy is to act.
+        note: what differs from ODRL's task of this name; empty where nothing is known to.
+    """
+
+    name: str
+    source: Variant
+    target: Variant
+    note: str
+
+
+def off_dynamics(name: str) -> OffDynamicsTask:
+    """Return a task of ODRL.
+
+    Args:
+        name: robot, kind of shift and level, as in ``hopper-friction-0.1`` and
+            ``walker2d-kinematic-footjnt-hard``.
+
+    Raises:
+        VariantError: if there is no such task, or ODRL's task is no variant; the message then says why.
+
+    Example:
+        >>> str(off_dynamics("hopper-friction-0.1").target)
+        'hopper-frictiondec_90_feet'
+    """
+    pages = _pages()
+    robot, _, rest = name.partition("-")
+    for start, reason in pages.get(robot, _Page()).not_expressed.items():
+        if rest.startswith(start):
+            raise VariantError(f"ODRL's task {clipped(name)!r} is no variant: {reason}")
+    names = off_dynamics_names()
+    if name not in names:
+        shown = clipped(name)
+        raise VariantError(
+            f"unknown task {shown!r}{suggestion(shown, names)}; "
+            f"valid: {names[0]} and {len(names) - 1} others, see off_dynamics_names()"
+        )
+    page = pages[robot]
+    notes = [note for start, note in page.notes.items() if rest.startswith(start)]
+    target = Variant.parse(f"{robot}-{page.tasks[rest]}")
+    return OffDynamicsTask(name, target.base, target, " ".join(notes))
+
+
+def off_dynamics_names(robot: str | None = None) -> tuple[str, ...]:
+    """Return the names of all tasks, or of those of one robot.
+
+    Raises:
+        VariantError: if no task has this robot.
+    """
+    pages = _pages()
+    if robot is not None and robot not in pages:
+        shown = clipped(robot)
+        raise VariantError(
+            f"no task of the robot {shown!r}{suggestion(shown, pages)}; valid: {', '.join(pages)}"
+        )
+    return tuple(f"{each}-{task}" for each in pages if robot in (None, each) for task in pages[each].tasks)
+
+
+@dataclass(frozen=True)
+class _Page:
+    """The tasks of a robot: name -> changes, and beginnings of names -> notes and reasons."""
+
+    tasks: Mapping[str, str] = field(default_factory=dict)
+    notes: Mapping[str, str] = field(default_factory=dict)
+    not_expressed: Mapping[str, str] = field(default_factory=dict)
+
+
+@cache
+def _pages() -> Mapping[str, _Page]:
+    folder = resources.files("imujoco_minari.env_specs") / "odrl"
+    files = sorted(
+        (page for page in folder.iterdir() if page.name.endswith(".toml")), key=lambda page: page.name
+    )
+    return {page.name.removesuffix(".toml"): _parse(page.read_text("utf-8"), page.name) for page in files}
+
+
+def _parse(text: str, name: str) -> _Page:
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise CatalogueError(f"{name}: not TOML: {error}") from None
+    for table, entries in data.items():
+        if table not in _TABLES:
+            raise CatalogueError(f"{name}: unknown key {table!r}; valid: {', '.join(sorted(_TABLES))}")
+        if not isinstance(entries, dict) or not all(isinstance(value, str) for value in entries.values()):
+            raise CatalogueError(f"{name}: [{table}] must hold texts")
+    return _Page(**data)
