@@ -1,8 +1,9 @@
 """Contexts: the changes of a variant as a vector of numbers, in one order and one unit.
 
 A *parameter* is a category and a body, as in ``mass/torsogeom``. Parameters are ordered by category, and
-within a category as the robot's page lists the bodies. A *context* has one number for each parameter: the
-change relative to the base value, percent / 100. So -0.25 is a quarter less, and the base robot is all zeros.
+within a category as the robot's page lists the bodies, then the groups. A *context* has one number for each
+parameter: the change relative to the base value, percent / 100. So -0.25 is a quarter less, and the base
+robot is all zeros.
 """
 
 from __future__ import annotations
@@ -27,15 +28,15 @@ def parameters(robot: str) -> tuple[str, ...]:
         >>> parameters("hopper")[:2]
         ('mass/torsogeom', 'mass/thighgeom')
     """
-    changes = specification(robot).categories
-    return tuple(f"{category}/{body}" for category, change in changes.items() for body in change.bodies)
+    categories = specification(robot).categories
+    return tuple(f"{category}/{body}" for category, listing in categories.items() for body in listing.bodies)
 
 
 def changed_parameters(variants: Iterable[Variant]) -> tuple[str, ...]:
     """Return the parameters that at least one variant of a robot changes, in the order of contexts."""
     variants = list(variants)
     changed = {name for variant in variants for name in percents(variant)}
-    listed = [name for name in parameters(variants[0].robot) if name in changed] if variants else []
+    listed = [name for name in _known(variants[0].robot) if name in changed] if variants else []
     # Variants of the original archive may change bodies that the robot's page does not list.
     return (*listed, *sorted(changed - set(listed)))
 
@@ -74,13 +75,22 @@ def context(variant: Variant, names: Sequence[str]) -> NDArray[np.float64]:
     return vector
 
 
+def _known(robot: str) -> tuple[str, ...]:
+    """Return all names of parameters: in each category the bodies, then the groups of bodies."""
+    return tuple(
+        f"{category}/{body}"
+        for category, listing in specification(robot).categories.items()
+        for body in (*listing.bodies, *listing.groups)
+    )
+
+
 def check_parameters(robot: str, names: Iterable[str]) -> tuple[str, ...]:
     """Return parameters of a robot, each once, in the order of contexts.
 
     Raises:
         VariantError: if the robot has no such parameter, or if a name stands twice.
     """
-    names, known = list(names), parameters(robot)
+    names, known = list(names), _known(robot)
     for name in names:
         if name not in known:
             shown = clipped(name)

@@ -73,6 +73,8 @@ class Ranges:
             )
         ordered = {name: tuple(self.ranges[name]) for name in names}
         object.__setattr__(self, "ranges", ordered)
+        # A body and a group that has it cannot both be drawn.
+        self.draw(0)
 
     def __reduce__(self) -> tuple[Callable[..., Ranges], tuple[Any, ...]]:
         # As with a variant, the page of a user's robot travels along.

@@ -62,6 +62,14 @@ def test_one_parameter_draws_a_simple_variant() -> None:
     assert named.dataset_id() == "imujoco/walker2d-stiff-v0"
 
 
+def test_a_group_is_drawn_as_one() -> None:
+    variant = Ranges("walker2d", {"joint/thighjoints": (-50, 0)}).draw(0)
+    assert len(variant.changes) == 1
+    assert variant.mjcf_names == ("thigh_joint", "thigh_left_joint")
+    with pytest.raises(ImujocoError, match="the joint of thigh_joint is changed twice"):
+        Ranges("walker2d", {"joint/thighjoints": (-50, 0), "joint/thighjoint": (-50, 0)})
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

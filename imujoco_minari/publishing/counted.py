@@ -1,4 +1,4 @@
-"""Datasets with a number of transitions, as tasks of off-dynamics learning need them."""
+"""Datasets with a number of transitions, as off-dynamics learning needs them."""
 
 from __future__ import annotations
 

@@ -6,7 +6,7 @@ import minari
 import pytest
 
 from imujoco_minari.errors import ArgumentError, DatasetExistsError
-from imujoco_minari.publishing.off_dynamics import publish_transitions
+from imujoco_minari.publishing.counted import publish_transitions
 from imujoco_minari.variants import Variant
 
 VARIANT = Variant.parse("hopper-frictiondec_90_feet")
