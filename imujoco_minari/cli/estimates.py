@@ -66,14 +66,14 @@ def plan(recipe: Recipe, *, force: bool = False) -> Planned:
         return Planned(recipe.dataset_id, "leave alone")
     action = "replace" if exists else "publish"
     if recipe.tier == MEDIUM_REPLAY:
-        size = STEPS_TO_MEDIUM * _bytes_per_step(recipe.variant)
+        size = STEPS_TO_MEDIUM * _bytes_per_step(recipe.nominal)
         return Planned(recipe.dataset_id, action, 0, size, STEPS_TO_MEDIUM * SECONDS_PER_TRAINING_STEP)
     try:
         recipe.parts()
     except ImujocoError as error:
         return Planned(recipe.dataset_id, error=str(error), missing=isinstance(error, NotFoundError))
     steps = recipe.episodes * _steps_per_episode(recipe)
-    size = round(steps * _bytes_per_step(recipe.variant) + recipe.episodes * BYTES_PER_EPISODE)
+    size = round(steps * _bytes_per_step(recipe.nominal) + recipe.episodes * BYTES_PER_EPISODE)
     seconds = steps * SECONDS_PER_STEP + recipe.episodes * SECONDS_PER_EPISODE
     return Planned(recipe.dataset_id, action, recipe.episodes, size, seconds)
 

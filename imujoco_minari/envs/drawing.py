@@ -78,7 +78,7 @@ class DrawingEnv(gym.Env[Any, Any]):
 
     def render(self) -> Any:
         """Render the present variant."""
-        return self._current.render()  # type: ignore[no-untyped-call]
+        return self._current.render()
 
     @abstractmethod
     def _choose(self, name: str | None, seed: int) -> VariantEnv:

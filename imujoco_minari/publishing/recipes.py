@@ -48,6 +48,8 @@ class Recipe:
             raise DatasetError(f"a dataset has at least one episode, not {self.episodes}")
         if self.seed < 0:
             raise DatasetError(f"a seed must not be negative: {self.seed}")
+        if self.tier == MEDIUM_REPLAY and isinstance(self.variant, Ranges):
+            raise DatasetError(f"the tier {MEDIUM_REPLAY} is a training run on one variant, not on ranges")
         if self.tier == MEDIUM_REPLAY and (self.episodes, self.policy, self.stochastic) != (100, None, False):
             raise DatasetError(
                 f"the tier {MEDIUM_REPLAY} is a training run: it takes a seed, but no number of episodes, "

@@ -80,7 +80,7 @@ def record_medium_replay(
         PolicyNotFoundError: if the variant has no expert to compare with.
         TrainingError: if the run does not reach the return.
     """
-    variant = recipe.variant
+    variant = recipe.nominal
     expert = expert_record(variant)
     if not expert:
         raise PolicyNotFoundError(

@@ -50,7 +50,7 @@ def off_dynamics(name: str) -> OffDynamicsTask:
     """
     pages = _pages()
     robot, _, rest = name.partition("-")
-    for start, reason in pages.get(robot, _Page()).not_expressed.items():
+    for start, reason in pages.get(robot, _RobotTasks()).not_expressed.items():
         if rest.startswith(start):
             raise VariantError(f"ODRL's task {clipped(name)!r} is no variant: {reason}")
     names = off_dynamics_names()
@@ -82,7 +82,7 @@ def off_dynamics_names(robot: str | None = None) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class _Page:
+class _RobotTasks:
     """The tasks of a robot: name -> changes, and beginnings of names -> notes and reasons."""
 
     tasks: Mapping[str, str] = field(default_factory=dict)
@@ -91,7 +91,7 @@ class _Page:
 
 
 @cache
-def _pages() -> Mapping[str, _Page]:
+def _pages() -> Mapping[str, _RobotTasks]:
     folder = resources.files("imujoco_minari.env_specs") / "odrl"
     files = sorted(
         (page for page in folder.iterdir() if page.name.endswith(".toml")), key=lambda page: page.name
@@ -99,7 +99,7 @@ def _pages() -> Mapping[str, _Page]:
     return {page.name.removesuffix(".toml"): _parse(page.read_text("utf-8"), page.name) for page in files}
 
 
-def _parse(text: str, name: str) -> _Page:
+def _parse(text: str, name: str) -> _RobotTasks:
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -109,4 +109,4 @@ def _parse(text: str, name: str) -> _Page:
             raise CatalogueError(f"{name}: unknown key {table!r}; valid: {', '.join(sorted(_TABLES))}")
         if not isinstance(entries, dict) or not all(isinstance(value, str) for value in entries.values()):
             raise CatalogueError(f"{name}: [{table}] must hold texts")
-    return _Page(**data)
+    return _RobotTasks(**data)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import imujoco_minari
-from imujoco_minari.errors import DatasetExistsError
+from imujoco_minari.errors import DatasetError, DatasetExistsError
 from imujoco_minari.policies.rollouts import episode_seed
 from imujoco_minari.storage import file_format
 from imujoco_minari.storage.metadata import complete_metadata, read_metadata
@@ -72,6 +72,11 @@ def test_other_ranges_need_another_name(data: Path) -> None:
     dataset_id = imujoco_minari.publish(named, tier="random", episodes=2).dataset_id
     assert dataset_id == "imujoco/hopper-slippery-random-v0"
     assert imujoco_minari.verify(dataset_id) == []
+
+
+def test_ranges_have_no_training_run() -> None:
+    with pytest.raises(DatasetError, match="a training run on one variant, not on ranges"):
+        imujoco_minari.publish(RANGES, tier="medium-replay")
 
 
 def test_the_data_loads_and_combines_as_other_data(data: Path) -> None:
