@@ -8,14 +8,23 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from typing import ClassVar
 
 
 class ImujocoError(Exception):
-    """The base of all errors raised by this package."""
+    """The base of all errors raised by this package.
+
+    Attributes:
+        missing: whether the user asked for something that does not exist.
+    """
+
+    missing: ClassVar[bool] = False
 
 
 class NotFoundError(ImujocoError):
     """The user asked for something that does not exist. The command line then exits with 2, not 1."""
+
+    missing = True
 
 
 class ArgumentError(ImujocoError, ValueError):

@@ -1,6 +1,6 @@
 """The command line. It is the only package that prints or exits.
 
-- ``app`` holds the application and prints, fails, shows progress and gathers the outcomes of a batch.
+- ``app`` holds the application, runs commands and gathers the outcomes of a batch. ``printing`` prints.
 - ``options`` holds the options that commands share, ``selection`` the filters, ``estimates`` the costs.
 - Each other module holds commands that belong together and adds them to :data:`app`.
 

@@ -19,8 +19,8 @@ from typing import Annotated, Any, Protocol, TypeVar
 
 import typer
 
-from imujoco_minari.cli.printing import fail, out, print_json, progress, say
-from imujoco_minari.errors import ImujocoError, NotFoundError
+from imujoco_minari.cli.printing import fail, out, print_json, progress, say, with_name
+from imujoco_minari.errors import ImujocoError
 
 # Help is plain text: Markdown and Rich's markup take `<variant>` and `[DIR]` for tags and drop them.
 app = typer.Typer(
@@ -105,7 +105,7 @@ def run(arguments: Sequence[str]) -> int:
         format_message: Callable[[], str] = getattr(error, "format_message", error.__str__)
         message, code = format_message().rstrip(".") + hint, MISSING
     except ImujocoError as error:
-        message, code = str(error), exit_code([isinstance(error, NotFoundError)])
+        message, code = str(error), exit_code([error.missing])
     except typer.Abort:
         message, code = "stopped: nothing was changed", FAILED
     except Exception as error:
@@ -156,6 +156,7 @@ class Outcome(Protocol):
 
 
 _Outcome = TypeVar("_Outcome", bound=Outcome)
+_Item = TypeVar("_Item")
 
 
 def gather(
@@ -175,7 +176,7 @@ def gather(
         name: the attribute of an outcome that names it.
 
     Raises:
-        typer.Exit: when one of them failed.
+        typer.Exit: if one of them failed.
     """
     gathered: list[_Outcome] = []
     verbs = Counter[str]()
@@ -195,21 +196,18 @@ def gather(
         print_json(results if stopped is None else {"results": results, "error": str(stopped)})
     failures = [outcome for outcome in gathered if outcome.error]
     for outcome in failures:
-        named = str(getattr(outcome, name))
-        fail(outcome.error if named in outcome.error else f"{named}: {outcome.error}")
+        fail(with_name(getattr(outcome, name), outcome.error))
     if len(gathered) > 1:
         say(", ".join([*(f"{verb} {count}" for verb, count in verbs.items()), f"failed {len(failures)}"]))
     if stopped is not None:
         fail(str(stopped))
     missing = [outcome.missing for outcome in failures]
-    missing += [] if stopped is None else [isinstance(stopped, NotFoundError)]
+    missing += [] if stopped is None else [stopped.missing]
     if missing:
         raise typer.Exit(exit_code(missing))
 
 
-def advancing(
-    outcomes: Iterable[_Outcome], description: str, total: int, *, quiet: bool
-) -> Iterator[_Outcome]:
+def advancing(outcomes: Iterable[_Item], description: str, total: int, *, quiet: bool) -> Iterator[_Item]:
     """Yield the outcomes of a batch behind a bar that each of them advances by one."""
     with progress(description, total, quiet=quiet) as advance:
         for outcome in outcomes:

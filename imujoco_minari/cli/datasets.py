@@ -29,7 +29,7 @@ from imujoco_minari.cli.options import (
 )
 from imujoco_minari.cli.printing import counted, fail, out, print_json, print_table, printable, progress, say
 from imujoco_minari.cli.selection import Filters, select, select_datasets
-from imujoco_minari.errors import DatasetNotFoundError, ImujocoError, NotFoundError, VariantError
+from imujoco_minari.errors import DatasetNotFoundError, ImujocoError, VariantError
 from imujoco_minari.policies.tiers import MEDIUM_REPLAY
 from imujoco_minari.storage import minari_root
 from imujoco_minari.variants import EXPERT
@@ -109,7 +109,7 @@ def _published(
         try:
             outcome = publish(recipes[0], jobs=jobs, force=force, on_episode=advance)
         except ImujocoError as error:
-            missing = isinstance(error, NotFoundError)
+            missing = error.missing
             outcome = Published(recipes[0].dataset_id, error=str(error), missing=missing)
     yield outcome
 
@@ -268,7 +268,7 @@ def verify_datasets(
     if any(results.values()):
         raise typer.Exit(1)
     if errors:
-        raise typer.Exit(exit_code([isinstance(each, NotFoundError) for each in errors]))
+        raise typer.Exit(exit_code([each.missing for each in errors]))
 
 
 def _print_findings(dataset_id: str, findings: Findings) -> None:
@@ -324,8 +324,8 @@ def _ask(ids: list[str]) -> None:
     """Ask whether to delete datasets.
 
     Raises:
-        typer.Abort: when the answer is no.
-        VariantError: when nobody can answer.
+        typer.Abort: if the answer is no.
+        VariantError: if nobody can answer.
     """
     if not sys.stdin.isatty():
         raise VariantError(f"deleting {counted(len(ids), 'dataset')} needs an answer: give --yes in a script")

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from imujoco_minari.cli.printing import counted
-from imujoco_minari.errors import ImujocoError, NotFoundError
+from imujoco_minari.errors import ImujocoError
 from imujoco_minari.policies import expert_record
 from imujoco_minari.policies.tiers import MEDIUM_REPLAY
 from imujoco_minari.storage import minari_root
@@ -71,7 +71,7 @@ def plan(recipe: Recipe, *, force: bool = False) -> Planned:
     try:
         recipe.parts()
     except ImujocoError as error:
-        return Planned(recipe.dataset_id, error=str(error), missing=isinstance(error, NotFoundError))
+        return Planned(recipe.dataset_id, error=str(error), missing=error.missing)
     steps = recipe.episodes * _steps_per_episode(recipe)
     size = round(steps * _bytes_per_step(recipe.nominal) + recipe.episodes * BYTES_PER_EPISODE)
     seconds = steps * SECONDS_PER_STEP + recipe.episodes * SECONDS_PER_EPISODE

@@ -11,7 +11,7 @@ import typer
 from imujoco_minari.cli.app import FAILED, app
 from imujoco_minari.cli.estimates import gallery_line, size_text
 from imujoco_minari.cli.options import AsJson, Category, Robot, VariantIds
-from imujoco_minari.cli.printing import fail, out, print_json, progress, say
+from imujoco_minari.cli.printing import fail, out, print_json, progress, say, with_name
 from imujoco_minari.cli.selection import Filters, select
 
 
@@ -58,6 +58,6 @@ def gallery(
             f"{size_text(size)}, in {result['seconds']:.0f} s"
         )
     for variant, reason in built.failed.items():
-        fail(f"{variant}: {reason}")
+        fail(with_name(variant, reason))
     if built.failed:
         raise typer.Exit(FAILED)

@@ -10,7 +10,7 @@ import typer
 from imujoco_minari.cli.app import FAILED, advancing, app, gather
 from imujoco_minari.cli.datasets import describe_published
 from imujoco_minari.cli.options import AsJson, Category, Columns, Episodes, Force, Robot, Seed, VariantIds
-from imujoco_minari.cli.printing import counted, out, print_json, print_table, say
+from imujoco_minari.cli.printing import counted, out, print_json, print_table, say, with_name
 from imujoco_minari.errors import DatasetNotFoundError
 from imujoco_minari.variants import Variant
 
@@ -136,8 +136,7 @@ def import_command(
     if as_json:
         print_json(vars(imported.published) | {"one_step_difference": near.asdict(), "notes": imported.notes})
         return
-    verb, line, *details = describe_published(imported.published)
-    out.print(f"{verb} {line}", *details)
+    gather([imported.published], describe_published, as_json=False)
     if not imported.published.created:
         return
     for note in imported.notes:
@@ -161,7 +160,7 @@ def _print_departures(departures: list[Departure]) -> None:
         shared = common.get(departure.variant.partition("-")[0], {})
         own = [difference for difference in departure.differences if difference not in shared]
         if departure.error:
-            say(f"{departure.variant}: {departure.error}")
+            say(with_name(departure.variant, departure.error))
         elif own or not departure.same_id:
             against = "" if departure.same_id else f", which our catalogue lacks, against {departure.against}"
             out.print(f"{departure.variant}{against}", style="bold")

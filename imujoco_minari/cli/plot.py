@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from imujoco_minari.cli.app import app
+from imujoco_minari.cli.app import advancing, app
 from imujoco_minari.cli.options import AsJson, Category, DatasetIds, Episodes, Jobs, Output, Robot, Seed
 from imujoco_minari.cli.printing import counted, out, print_json, progress, say
 from imujoco_minari.cli.selection import counted_variants
@@ -28,11 +28,11 @@ def plot(
 
     Example: `imujoco plot imujoco/hopper-massdec_25_leggeom-v0 --output figures`
     """
-    from imujoco_minari.pictures.plotting.datasets import QUESTIONS, load_series, plot_datasets, with_bases
+    from imujoco_minari.pictures.plotting.datasets import FIGURES, load_series, plot_datasets, with_bases
 
     folder = output or Path("plots")
     names = list(dict.fromkeys(ids))
-    with progress("plotting", len(names) + len(QUESTIONS), quiet=as_json) as advance:
+    with progress("plotting", len(names) + len(FIGURES), quiet=as_json) as advance:
         series = []
         for name in names:
             series.append(load_series(name))
@@ -74,7 +74,13 @@ def transfer(
     from imujoco_minari.pictures.plotting.style import new_figure
     from imujoco_minari.pictures.plotting.transfer import plot_transfer
     from imujoco_minari.policies import read_actor
-    from imujoco_minari.policies.transfer import columns, evaluate_transfer, expert_policies, write_csv
+    from imujoco_minari.policies.transfer import (
+        Transfer,
+        columns,
+        evaluate_cells,
+        expert_policies,
+        write_csv,
+    )
 
     if robot is None:
         raise VariantError("name the robot with --robot")
@@ -85,16 +91,10 @@ def transfer(
     # Report a missing matplotlib before the work, not after it.
     new_figure(1.0, 1.0, "")
     target = output or Path(f"transfer-{robot}")
-    with progress("evaluating", len(chosen) * len(variants), quiet=as_json) as advance:
-        result = evaluate_transfer(
-            chosen,
-            variants,
-            target / "transfer.json",
-            episodes=episodes,
-            seed=seed,
-            jobs=jobs,
-            on_cell=advance,
-        )
+    state = target / "transfer.json"
+    cells = evaluate_cells(chosen, variants, state, episodes=episodes, seed=seed, jobs=jobs)
+    shown = advancing(cells, "evaluating", len(chosen) * len(variants), quiet=as_json)
+    result = Transfer(tuple(chosen), tuple(variants), dict(shown))
     write_csv(result, target / "transfer.csv")
     files = [target / "transfer.csv", *plot_transfer(result, target / "transfer")]
     if as_json:

@@ -57,6 +57,11 @@ out = Printer()
 err = Printer(stderr=True)
 
 
+def with_name(name: object, message: str) -> str:
+    """Return a message that begins with the name of what it is about, unless it states the name itself."""
+    return message if str(name) in message else f"{name}: {message}"
+
+
 def fail(message: str) -> None:
     """Print an error in one line."""
     err.print(message, start="error: ")

@@ -59,6 +59,7 @@ def render(
     """
     from imujoco_minari.pictures.rendering import frame_steps, render_motions
     from imujoco_minari.pictures.rendering.files import check_format
+    from imujoco_minari.pictures.rendering.source import of_dataset, of_variant
 
     width, height = _size(size)
     if target is None:
@@ -68,7 +69,11 @@ def render(
         raise RenderingError(f"a sheet is one picture: give --output a .png, not {str(target)!r}")
     if target.exists() and not force:
         raise StorageError(f"{target} is already there; it was left alone (--force replaces it)")
-    motions = _motions(what, episode, tier, policy, beside_base, seconds)
+    if "/" in what:
+        motions = of_dataset(what, episode, beside_base=beside_base, seconds=seconds)
+    else:
+        variant = Variant.parse(what)
+        motions = of_variant(variant, tier, policy, seed=episode, beside_base=beside_base, seconds=seconds)
     for motion in motions:
         if motion.divergence > 0:
             say(
@@ -88,18 +93,6 @@ def render(
             f"return {motion.total:.1f}"
         )
     out.print(f"wrote {target}: {counted(count, 'frame')}, {size_text(target.stat().st_size)}")
-
-
-def _motions(
-    what: str, episode: int, tier: str, policy: Path | None, beside_base: bool, seconds: float | None
-) -> list[Motion]:
-    from imujoco_minari.pictures.rendering.source import of_dataset, of_variant
-
-    if "/" in what:
-        return of_dataset(what, episode, beside_base=beside_base, seconds=seconds)
-    return of_variant(
-        Variant.parse(what), tier, policy, seed=episode, beside_base=beside_base, seconds=seconds
-    )
 
 
 def _size(text: str) -> tuple[int, int]:

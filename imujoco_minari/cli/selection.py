@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
 
 from imujoco_minari.cli.printing import counted
 from imujoco_minari.errors import DatasetNotFoundError, VariantError
@@ -59,7 +60,7 @@ class Filters:
         """Return the variants that the filters leave, each robot's base first if it is wanted.
 
         Raises:
-            VariantError: when there is no such robot or category.
+            VariantError: if there is no such robot or category.
         """
         chosen = catalogue(self.robot, self.category)
         if not chosen:
@@ -70,11 +71,8 @@ class Filters:
             )
         if not self.with_base:
             return list(chosen)
-        return [each for base in dict.fromkeys(v.base for v in chosen) for each in (base, *_of(chosen, base))]
-
-
-def _of(variants: Sequence[Variant], base: Variant) -> list[Variant]:
-    return [variant for variant in variants if variant.robot == base.robot]
+        robots = groupby(chosen, key=lambda variant: variant.base)
+        return [each for base, variants in robots for each in (base, *variants)]
 
 
 def counted_variants(variants: Sequence[Variant]) -> str:
@@ -88,7 +86,7 @@ def select(names: Sequence[str] | None, filters: Filters) -> list[Variant]:
     """Return the variants that a command names, or those that its filters choose from the catalogue.
 
     Raises:
-        VariantError: when a name is no variant, or there are names and filters, or neither.
+        VariantError: if a name is no variant, or there are names and filters, or neither.
     """
     filters.check_no_names(names)
     if names:
@@ -116,8 +114,8 @@ def select_datasets(
         complete: leave out none: fail if the Minari root lacks one.
 
     Raises:
-        VariantError: when there are ids and filters, or neither.
-        DatasetNotFoundError: when nothing is left, or with ``complete`` one is missing.
+        VariantError: if there are ids and filters, or neither.
+        DatasetNotFoundError: if nothing is left, or with ``complete`` one is missing.
     """
     filters.check_no_names(ids)
     if ids and tiers:

@@ -31,14 +31,16 @@ from imujoco_minari.cli.options import (
 from imujoco_minari.cli.printing import counted, out, print_json, print_table, say
 from imujoco_minari.cli.selection import Filters, select
 from imujoco_minari.policies import expert_record, expert_variants, policies_folder
+from imujoco_minari.policies.rungs import mean_return, medium_rung
 from imujoco_minari.policies.standing import COLUMNS, share_of_base, standings
 from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS, Variant
 
 if TYPE_CHECKING:
     from imujoco_minari.publishing.publisher import Published
     from imujoco_minari.training.hyperparameters import Hyperparameters
+    from imujoco_minari.training.plan import Plan
     from imujoco_minari.training.run import OnInterval, Progress
-    from imujoco_minari.training.sweep import Plan, Trained
+    from imujoco_minari.training.sweep import Trained
 
 policy = typer.Typer(help="Use a policy in other libraries.")
 app.add_typer(policy, name="policy")
@@ -58,6 +60,14 @@ def train_variants(
         int | None, typer.Option("--max-steps", min=1, metavar="N", help="Environment steps at most.")
     ] = None,
     target: Annotated[float | None, typer.Option("--target", metavar="X", help="Return to stop at.")] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="NAME=VALUE",
+            help="A hyperparameter, as in batch_size=256; may be repeated.",
+        ),
+    ] = None,
     seed: Seed = 0,
     jobs: Jobs = 1,
     backend: Backend = None,
@@ -79,6 +89,10 @@ def train_variants(
     improve: Annotated[
         bool, typer.Option("--improve", help="Train finished policies further, and keep the better ones.")
     ] = False,
+    ladders: Annotated[
+        bool,
+        typer.Option("--ladders", help="Measure the ladders of finished policies again, and complete them."),
+    ] = False,
     record_replay: Annotated[
         bool, typer.Option("--record-replay", help="Publish the run's transitions as the tier replay.")
     ] = False,
@@ -95,13 +109,27 @@ def train_variants(
     `imujoco train --robot hopper --jobs 2 --nice 10`,
     `imujoco train hopper-base --record-replay`
     """
-    from imujoco_minari.training.sweep import Plan, default_state
+    from imujoco_minari.training.hyperparameters import hyperparameter_changes
+    from imujoco_minari.training.plan import Plan, default_state
 
     chosen = select(variants, Filters(robot, category, everything, with_base))
-    changes: dict[str, Any] = {} if max_steps is None else {"max_steps": max_steps}
-    plan = Plan(state or default_state(), output, scratch, seed, target, changes, nice, improve, device)
+    changes = hyperparameter_changes(settings or [])
+    if max_steps is not None:
+        changes["max_steps"] = max_steps
+    plan = Plan(
+        state=state or default_state(),
+        policies=output or policies_folder(),
+        scratch=scratch,
+        seed=seed,
+        target=target,
+        changes=changes,
+        nice=nice,
+        improve=improve,
+        ladders=ladders,
+        device=device,
+    )
     if len(chosen) > 1 and not as_json:
-        say(training_line(chosen, output, jobs, improve=improve or record_replay))
+        say(training_line(chosen, output, jobs, improve=improve or ladders or record_replay))
     if record_replay:
         os.nice(nice)
         gather(_recorded(chosen, plan, as_json), describe_published, as_json=as_json)
@@ -151,7 +179,7 @@ def _teller(quiet: bool) -> OnInterval:
         left = steps_left * state.wall_seconds / state.steps
         say(
             f"{state.steps:>9,} steps  return {last['return_mean']:8.1f} ± {last['return_std']:6.1f}"
-            f"  best {state.best_score:8.1f}  {state.wall_seconds / 60:6.1f} min, "
+            f"  best score {state.best_score:8.1f}  {state.wall_seconds / 60:6.1f} min, "
             f"at most {left / 60:.0f} left"
         )
 
@@ -164,11 +192,13 @@ _WEAK = 0.5
 
 def describe_trained(outcome: Trained, plan: Plan) -> tuple[str, ...]:
     """Return what to print of a variant or generalist that was trained, or has an expert already."""
-    variant, made = outcome.variant, _made(outcome.record)
+    variant = outcome.variant
+    if outcome.measured:
+        return "measured", f"{variant}: {_ladder(outcome.record)}"
     if outcome.created:
-        lines = ["trained", f"{variant}: {made}"]
+        lines = ["trained", f"{variant}: {_made(outcome.record)}"]
     elif outcome.tried:
-        lines = ["kept", f"{variant}: {made}; not as good: {_made(outcome.tried)}"]
+        lines = ["kept", f"{variant}: {_made(outcome.record)}; not as good: {_made(outcome.tried)}"]
     else:
         lines = ["left alone", f"{variant}: it has an expert already"]
     # A generalist is not the expert of a variant.
@@ -178,6 +208,15 @@ def describe_trained(outcome: Trained, plan: Plan) -> tuple[str, ...]:
         better = f"`imujoco train {variant} {again}` may do better"
         lines.append(f"  its return is {share:.2f} of the base expert's: {better}")
     return tuple(lines)
+
+
+def _ladder(record: dict[str, Any]) -> str:
+    """Return how many rungs a record's ladder has, and which share of the expert's return medium has."""
+    rungs, expert_return = record["ladder"], mean_return(record)
+    if not rungs:
+        return "no rungs"
+    share = mean_return(medium_rung(rungs, expert_return)) / expert_return
+    return f"{counted(len(rungs), 'rung')}, medium at {share:.2f} of the expert's return"
 
 
 def _made(record: dict[str, Any]) -> str:
@@ -217,7 +256,11 @@ def policies(
             print_json([vars(line) for line in lines])
             return
         print_table(COLUMNS, [line.cells() for line in lines], numeric=COLUMNS[2:])
-        out.print("", "median and min: return as a share of the base expert's")
+        out.print(
+            "",
+            "median and min: return as a share of the base expert's",
+            "medium and ranked: number of policies whose rungs have the returns that these tiers need",
+        )
         return
     if filters.given:
         experts = set(expert_variants())

@@ -15,7 +15,7 @@ from gymnasium.envs.registration import EnvSpec
 from minari.data_collector import EpisodeBuffer
 
 from imujoco_minari.envs import environment_spec
-from imujoco_minari.errors import DatasetError, ImujocoError, NotFoundError
+from imujoco_minari.errors import DatasetError, ImujocoError
 from imujoco_minari.importing.archive import Archive
 from imujoco_minari.importing.columns import ARRAY, read_table
 from imujoco_minari.importing.physics import Physics
@@ -77,7 +77,7 @@ def import_archive(archive: Archive, variants: Iterable[OriginalVariant], how: I
         try:
             yield (recollect if how.recollect else import_variant)(archive, variant, how)
         except ImujocoError as error:
-            yield Published(dataset_id, error=str(error), missing=isinstance(error, NotFoundError))
+            yield Published(dataset_id, error=str(error), missing=error.missing)
 
 
 def import_variant(archive: Archive, variant: OriginalVariant, how: Import) -> Published:

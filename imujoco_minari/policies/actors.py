@@ -117,7 +117,7 @@ class Actor:
         bound: largest absolute value of an action's entry. The squashed Gaussian is scaled by it.
 
     Raises:
-        PolicyError: when the arrays are not the weights of such an actor.
+        PolicyError: if the arrays are not the weights of such an actor.
     """
 
     weights: Mapping[str, Array]
@@ -223,7 +223,7 @@ class Actor:
         """Check that the actor has the observation and action size of a robot.
 
         Raises:
-            PolicyError: when it has not.
+            PolicyError: if it has not.
         """
         sizes = (self.observation_size, self.action_size)
         expected = specification(robot).sizes

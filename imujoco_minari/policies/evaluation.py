@@ -120,11 +120,6 @@ class Evaluation:
         """95 % bootstrap interval of the interquartile mean of the normalised scores."""
         return bootstrap_interval(self.scores)
 
-    @property
-    def mean_less_std(self) -> float:
-        """Mean less standard deviation of the returns. It is low for a policy that falls now and then."""
-        return self.return_mean - self.return_std
-
     def asdict(self) -> dict[str, Any]:
         """Return a summary of the returns for JSON, as records of policies and metadata hold it."""
         summary = ("return_mean", "return_std", "return_min", "return_max", "length_mean")

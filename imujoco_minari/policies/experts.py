@@ -27,8 +27,8 @@ def expert_actor(variant: Variant, *, deterministic: bool = True) -> Actor:
         deterministic: whether the actor takes the mode of its distribution, or a sample.
 
     Raises:
-        PolicyNotFoundError: when neither the user nor the package has an expert for the variant.
-        PolicyError: when its files are damaged.
+        PolicyNotFoundError: if neither the user nor the package has an expert for the variant.
+        PolicyError: if its files are damaged.
     """
     record = expert_record(variant)
     if not record:
@@ -51,7 +51,7 @@ def expert_record(variant: Variant, folder: Path | None = None) -> Mapping[str, 
         folder: folder to search before the package's; None means :func:`policies_folder`.
 
     Raises:
-        PolicyError: when the record cannot be read.
+        PolicyError: if the record cannot be read.
     """
     path = find_policy_file(f"{variant}.json", folder)
     if path is None:

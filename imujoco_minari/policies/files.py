@@ -36,8 +36,8 @@ def read_actor(path: str | Path, *, deterministic: bool = True, algorithm: str =
         algorithm: name of the algorithm that trained the actor of a ``.safetensors``. A zip states it.
 
     Raises:
-        PolicyNotFoundError: when the file does not exist.
-        PolicyError: when the file holds no actor that this package can represent.
+        PolicyNotFoundError: if the file does not exist.
+        PolicyError: if the file holds no actor that this package can represent.
 
     Examples:
         >>> actor = read_actor("model.zip")  # doctest: +SKIP
@@ -68,7 +68,7 @@ def actor_of_bytes(
     """Return the actor in the bytes of a ``.safetensors`` file called ``name``.
 
     Raises:
-        PolicyError: when they hold none.
+        PolicyError: if they hold none.
     """
     try:
         return Actor(_weights(data), algorithm, deterministic, record=record)

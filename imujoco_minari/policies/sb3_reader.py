@@ -62,7 +62,7 @@ def actor_weights(raw: bytes) -> dict[str, Any]:
     """Return the actor's weights, float32, in a file of ``torch.save`` that holds a policy's state dict.
 
     Raises:
-        PolicyError: when the file holds anything but weights, or no squashed Gaussian actor.
+        PolicyError: if the file holds anything but weights, or no squashed Gaussian actor.
     """
     try:
         state = torch.load(BytesIO(raw), map_location="cpu", weights_only=True)

@@ -13,12 +13,24 @@ from typing import Any
 import numpy as np
 
 from imujoco_minari.policies.experts import expert_record
+from imujoco_minari.policies.rungs import has_even_ranks, has_medium, mean_return
 from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS, Variant, catalogue, specification
 
 # The share that an expert should reach.
 BAR = 0.95
 # Headings of a table of standings.
-COLUMNS = ("robot", "category", "policies", "of", "median", "min", f"below {BAR}", "core-hours")
+COLUMNS = (
+    "robot",
+    "category",
+    "policies",
+    "of",
+    "median",
+    "min",
+    f"below {BAR}",
+    "medium",
+    "ranked",
+    "core-hours",
+)
 
 
 @dataclass(frozen=True)
@@ -33,6 +45,8 @@ class Standing:
         median: median of the shares; None without experts.
         minimum: smallest share; None without experts.
         below: number of experts whose share is below :data:`BAR`.
+        medium: number of experts whose tier ``medium`` has a third to a half of their return.
+        ranked: number of experts whose tier ``ranked`` has about 0.8, 0.6, 0.4 and 0.2 of their return.
         hours: core-hours of training, evaluations included.
     """
 
@@ -43,13 +57,15 @@ class Standing:
     median: float | None
     minimum: float | None
     below: int
+    medium: int
+    ranked: int
     hours: float
 
     def cells(self) -> list[str]:
         """Return the cells of the table's row, in the order of :data:`COLUMNS`."""
         shares = ("-" if share is None else f"{share:.2f}" for share in (self.median, self.minimum))
-        counts = str(self.policies), str(self.of)
-        return [self.robot, self.category, *counts, *shares, str(self.below), f"{self.hours:.1f}"]
+        first, last = (self.policies, self.of), (self.below, self.medium, self.ranked)
+        return [self.robot, self.category, *map(str, first), *shares, *map(str, last), f"{self.hours:.1f}"]
 
 
 def standings(
@@ -65,15 +81,14 @@ def standings(
         folder: folder to search for records; see :func:`~imujoco_minari.policies.expert_record`.
 
     Raises:
-        PolicyError: when a record cannot be read.
+        PolicyError: if a record cannot be read.
     """
     lines = []
     for robot in robots:
         for category in categories:
             if category != BASE and category not in specification(robot).categories:
                 continue
-            base = (Variant(robot),)
-            variants = base if category == BASE else catalogue(robot, category)
+            variants = (Variant(robot),) if category == BASE else catalogue(robot, category)
             if not variants:
                 continue
             records = [record for variant in variants if (record := expert_record(variant, folder))]
@@ -87,6 +102,8 @@ def standings(
                     float(np.median(shares)) if shares else None,
                     min(shares, default=None),
                     sum(share < BAR for share in shares),
+                    sum(map(has_medium, records)),
+                    sum(map(has_even_ranks, records)),
                     sum(map(seconds_trained, records)) / 3600,
                 )
             )
@@ -96,7 +113,7 @@ def standings(
 def share_of_base(record: Mapping[str, Any], folder: Path | None = None) -> float | None:
     """Return the share of the expert with this training record; None when its base has no expert."""
     base = expert_record(Variant.parse(record["variant"]).base, folder)
-    return float(record["evaluation"]["return_mean"] / base["evaluation"]["return_mean"]) if base else None
+    return mean_return(record) / mean_return(base) if base else None
 
 
 def seconds_trained(record: Mapping[str, Any]) -> float:

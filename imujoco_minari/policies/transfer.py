@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -110,9 +110,22 @@ def evaluate_transfer(
     episodes: int = 5,
     seed: int = 0,
     jobs: int = 1,
-    on_cell: Callable[[], None] | None = None,
 ) -> Transfer:
-    """Evaluate every policy on every variant.
+    """Evaluate every policy on every variant: :func:`evaluate_cells`, gathered."""
+    cells = evaluate_cells(policies, variants, state, episodes=episodes, seed=seed, jobs=jobs)
+    return Transfer(tuple(policies), tuple(variants), dict(cells))
+
+
+def evaluate_cells(
+    policies: Mapping[str, Policy],
+    variants: Sequence[Variant],
+    state: Path,
+    *,
+    episodes: int = 5,
+    seed: int = 0,
+    jobs: int = 1,
+) -> Iterator[tuple[tuple[str, Variant], Evaluation]]:
+    """Evaluate every policy on every variant and yield each pair with its evaluation when it is ready.
 
     Args:
         policies: maps names to policies.
@@ -121,7 +134,6 @@ def evaluate_transfer(
         episodes: number of episodes per pair of policy and variant.
         seed: base seed of the episodes, the same for every pair.
         jobs: number of processes.
-        on_cell: called after each pair, including those of an earlier run.
 
     Raises:
         PolicyError: if a policy does not fit the robot.
@@ -134,21 +146,17 @@ def evaluate_transfer(
         for variant in variants
     ]
     known = _read_state(state)
-    cells: dict[tuple[str, Variant], Evaluation] = {}
     missing = []
     for cell in wanted:
         row = known.get(cell.policy_name, {}).get(str(cell.variant), {})
         if row.get("key") == cell.key():
-            cells[cell.policy_name, cell.variant] = _evaluation(cell, row)
-            if on_cell is not None:
-                on_cell()
+            yield (cell.policy_name, cell.variant), _evaluation(cell, row)
         else:
             missing.append(cell)
     for number, result in run_jobs(_evaluate_cell, missing, jobs=jobs):
         cell = missing[number]
         if isinstance(result, JobError):
             raise TransferError(f"{cell.policy_name} on {cell.variant}: {result}")
-        cells[cell.policy_name, cell.variant] = result
         row = {
             "key": cell.key(),
             "returns": result.returns.tolist(),
@@ -156,9 +164,7 @@ def evaluate_transfer(
         }
         known.setdefault(cell.policy_name, {})[str(cell.variant)] = row
         write_text(state, json.dumps({"format": FORMAT, "cells": known}) + "\n")
-        if on_cell is not None:
-            on_cell()
-    return Transfer(tuple(policies), tuple(variants), cells)
+        yield (cell.policy_name, cell.variant), result
 
 
 def write_csv(transfer: Transfer, path: Path) -> None:

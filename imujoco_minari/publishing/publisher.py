@@ -24,7 +24,6 @@ from imujoco_minari.errors import (
     DatasetExistsError,
     ImujocoError,
     JobError,
-    NotFoundError,
     clipped,
 )
 from imujoco_minari.parallel import run_jobs
@@ -284,7 +283,7 @@ def _publish_or_report(recipe: Recipe, force: bool) -> Published:
     try:
         return publish(recipe, force=force)
     except ImujocoError as error:
-        return Published(recipe.dataset_id, error=str(error), missing=isinstance(error, NotFoundError))
+        return Published(recipe.dataset_id, error=str(error), missing=error.missing)
 
 
 def _read_outcome(dataset_id: str, *, created: bool, seconds: float = 0.0) -> Published:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import h5py
 
-from imujoco_minari.errors import DatasetError, ImujocoError, NotFoundError
+from imujoco_minari.errors import DatasetError, ImujocoError
 from imujoco_minari.storage import file_format, minari_root, transactions
 from imujoco_minari.storage.metadata import METADATA_FILE, read_metadata
 from imujoco_minari.storage.missing import not_in_root
@@ -54,7 +54,7 @@ def delete(dataset_ids: Sequence[str], *, force: bool = False) -> Iterator[Delet
             with minari_root.storage_errors(minari_root.dataset_folder(dataset_id)):
                 outcome = _delete(dataset_id, set() if force else links.get(dataset_id, set()))
         except ImujocoError as error:
-            outcome = Deleted(dataset_id, error=str(error), missing=isinstance(error, NotFoundError))
+            outcome = Deleted(dataset_id, error=str(error), missing=error.missing)
         else:
             for collections in links.values():
                 collections.discard(dataset_id)

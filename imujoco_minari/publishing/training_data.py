@@ -19,7 +19,8 @@ from imujoco_minari.envs.registration import environment_spec
 from imujoco_minari.errors import PolicyNotFoundError, TrainingError
 from imujoco_minari.policies import expert_record
 from imujoco_minari.policies.references import reference_scores
-from imujoco_minari.policies.tiers import MEDIUM_REPLAY, MEDIUM_SHARE, REPLAY
+from imujoco_minari.policies.rungs import MEDIUM_SHARE
+from imujoco_minari.policies.tiers import MEDIUM_REPLAY, REPLAY
 from imujoco_minari.publishing.collector import StorageCollector
 from imujoco_minari.publishing.publisher import NewDataset, Published, find_published, publish_episodes
 from imujoco_minari.publishing.recipes import Recipe
@@ -27,8 +28,10 @@ from imujoco_minari.publishing.shares import OnEpisode
 from imujoco_minari.storage import file_format
 from imujoco_minari.storage.metadata import provenance
 from imujoco_minari.storage.writer import EpisodeStorage, new_storage
+from imujoco_minari.training.agents import ALGORITHM
 from imujoco_minari.training.hyperparameters import SCRATCH, hyperparameters
-from imujoco_minari.training.run import OnInterval, Progress, Run, Task
+from imujoco_minari.training.run import OnInterval, Progress, Run, do_nothing
+from imujoco_minari.training.task import Task
 
 
 class WholeEpisodeCollector(StorageCollector):
@@ -65,8 +68,8 @@ def record_medium_replay(
 ) -> Published:
     """Train on a variant from scratch up to the return of ``medium``, and publish the whole episodes.
 
-    The run ends at the first actor whose return, mean less standard deviation over 100 episodes, reaches
-    0.42 of the expert's. It always computes on the CPU, because a GPU rounds otherwise. The same seed gives
+    The run ends at the first actor whose score, the mean of the mean and the lowest return of 100 episodes,
+    reaches 0.42 of the expert's return. It always computes on the CPU, because a GPU rounds otherwise. The same seed gives
     the same dataset, bit for bit, on one kind of processor with the same versions.
 
     Args:
@@ -102,7 +105,7 @@ def record_training(
     *,
     device: str | None = None,
     force: bool = False,
-    on_interval: OnInterval | None = None,
+    on_interval: OnInterval = do_nothing,
     on_episode: OnEpisode = lambda: None,
 ) -> Published:
     """Train a task to its end and publish its whole episodes as a tier of the variant.
@@ -172,14 +175,13 @@ def _read_episodes(recorded: Path) -> Iterator[EpisodeBuffer]:
 
 
 def _dataset_metadata(task: Task, progress: Progress) -> dict[str, Any]:
-    algorithm = task.settings.algorithm
     end = "" if task.target == float("inf") else f", up to a return of {task.target:.0f}"
     return {
         **reference_scores(task.variant),
         **provenance(
-            algorithm=algorithm,
+            algorithm=ALGORITHM,
             description=(
-                f"iMuJoCo, rebuilt: the transitions of a training run of {algorithm} on {task.variant}, "
+                f"iMuJoCo, rebuilt: the transitions of a training run of {ALGORITHM} on {task.variant}, "
                 f"{progress.steps} steps from {task.start}{end}, in the order of the run. "
                 "Episodes that an evaluation cut short are left out."
             ),

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError, NotFoundError
+from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError
 from imujoco_minari.remotes.connecting import connect
 from imujoco_minari.remotes.stores import Store, metadata, remote_errors, sources_of
 from imujoco_minari.storage import copying, file_format, minari_root, transactions
@@ -100,7 +100,7 @@ def pull_all(
                 store, dataset_id, remote, set(dataset_ids) if force else set(), done
             )
         except ImujocoError as error:
-            yield Pulled(dataset_id, remote, error=str(error), missing=isinstance(error, NotFoundError))
+            yield Pulled(dataset_id, remote, error=str(error), missing=error.missing)
 
 
 def _pull_with_sources(

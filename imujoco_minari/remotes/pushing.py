@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError, NotFoundError, RemoteError
+from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError, RemoteError
 from imujoco_minari.remotes.card import dataset_card, namespace_card
 from imujoco_minari.remotes.connecting import connect
 from imujoco_minari.remotes.stores import (
@@ -114,7 +114,7 @@ def push_all(
                     uploaded += [part] if outcome.uploaded else []
                     yield outcome
         except ImujocoError as error:
-            yield Pushed(dataset_id, remote, error=str(error), missing=isinstance(error, NotFoundError))
+            yield Pushed(dataset_id, remote, error=str(error), missing=error.missing)
     if uploaded:
         _update_cards(store, remote, uploaded)
 

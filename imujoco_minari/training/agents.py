@@ -19,13 +19,13 @@ from imujoco_minari.policies import Actor, Array, policies_folder
 from imujoco_minari.storage.files import whole_file
 from imujoco_minari.training.hyperparameters import Hyperparameters
 
+ALGORITHM = "CrossQ"
 _LAYERS = {
     "Dense_0": "latent_pi.0",
     "Dense_1": "latent_pi.2",
     "Dense_2": "mu",
     "Dense_3": "log_std",
 }
-_STATES = ("actor", "qf", "entropy")
 
 
 def make_agent(env: Any, settings: Hyperparameters, seed: int, device: str | None = None) -> Any:
@@ -179,11 +179,11 @@ def agent_actor(arrays: dict[str, Array]) -> dict[str, Array]:
     return actor
 
 
-def actor_of(arrays: dict[str, Array], algorithm: str) -> Actor:
-    """Return the deterministic policy with the weights of :func:`actor_arrays`."""
-    return Actor({name: array.astype(np.float32) for name, array in arrays.items()}, algorithm)
+def actor_of(arrays: dict[str, Array], robot: str) -> Actor:
+    """Return the deterministic policy of a robot with the weights of :func:`actor_arrays`."""
+    weights = {name: array.astype(np.float32) for name, array in arrays.items()}
+    return Actor(weights, ALGORITHM).for_robot(robot)
 
 
 def _train_states(agent: Any) -> dict[str, Any]:
-    states = (agent.policy.actor_state, agent.policy.qf_state, agent.ent_coef_state)
-    return dict(zip(_STATES, states, strict=True))
+    return {"actor": agent.policy.actor_state, "qf": agent.policy.qf_state, "entropy": agent.ent_coef_state}

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import cache
 from importlib import resources
-from typing import Any
+from typing import Any, get_type_hints
 
-from imujoco_minari.errors import CatalogueError
+from imujoco_minari.errors import CatalogueError, clipped, suggestion
 from imujoco_minari.variants import specification
 
 SCRATCH, FAR, WARM, NEAR, GENERALIST, IMPROVE = "scratch", "far", "warm", "near", "generalist", "improve"
+_MAY_BE_ZERO = {"settling_rate", "settling_steps", "stones", "approach_share", "exploration_steps"}
 
 
 @dataclass(frozen=True)
@@ -19,7 +22,6 @@ class Hyperparameters:
     """The settings of a training run, beside variant, start and seed.
 
     Attributes:
-        algorithm: name of the algorithm in records and datasets.
         critic_width: units in each of a critic's two hidden layers.
         steps_per_call: environment steps between two calls of the update loop.
         updates_per_call: gradient steps in each call.
@@ -40,7 +42,6 @@ class Hyperparameters:
         confirming_episodes: episodes of the final evaluation, with seeds of its own.
     """
 
-    algorithm: str
     critic_width: int
     steps_per_call: int
     updates_per_call: int
@@ -95,6 +96,38 @@ def hyperparameters(robot: str, start: str, **changes: Any) -> Hyperparameters:
     if unknown:
         raise CatalogueError(f"unknown hyperparameter {unknown[0]!r}; valid: {', '.join(sorted(known))}")
     return Hyperparameters(**values)
+
+
+def hyperparameter_changes(texts: Sequence[str]) -> dict[str, int | float]:
+    """Return the values that texts like ``batch_size=256`` set, each in the type of its hyperparameter.
+
+    Raises:
+        CatalogueError: if a text is no ``NAME=VALUE``, its name is unknown, or its value is no number
+            that the hyperparameter can have.
+
+    Example:
+        >>> hyperparameter_changes(["batch_size=256", "gamma=0.98"])
+        {'batch_size': 256, 'gamma': 0.98}
+    """
+    types = get_type_hints(Hyperparameters)
+    changes: dict[str, int | float] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals or name not in types:
+            near = "" if name in types else suggestion(name[:80], types)
+            raise CatalogueError(
+                f"cannot set {clipped(text)!r}{near}: write NAME=VALUE; names: {', '.join(sorted(types))}"
+            )
+        try:
+            changes[name] = types[name](value)
+        except ValueError:
+            changes[name] = -1
+        optional = name in _MAY_BE_ZERO
+        if not 0 <= changes[name] < math.inf or (changes[name] == 0 and not optional):
+            kind = "whole number" if types[name] is int else "number"
+            bound = "of at least 0" if optional else "above 0"
+            raise CatalogueError(f"cannot set {clipped(text)!r}: {name} is a {kind} {bound}")
+    return changes
 
 
 @cache

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -18,12 +18,13 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from imujoco_minari.envs.registration import collection_spec, make
+from imujoco_minari.errors import TrainingError
 from imujoco_minari.policies import Array
-from imujoco_minari.policies.evaluation import Evaluation, evaluate
+from imujoco_minari.policies.evaluation import evaluate
 from imujoco_minari.policies.references import random_evaluation
 from imujoco_minari.policies.rollouts import episode_seed
 from imujoco_minari.training.agents import (
+    ALGORITHM,
     actor_arrays,
     actor_of,
     agent_arrays,
@@ -34,56 +35,13 @@ from imujoco_minari.training.agents import (
     save_arrays,
 )
 from imujoco_minari.training.hyperparameters import SCRATCH, Hyperparameters
+from imujoco_minari.training.task import Task
 from imujoco_minari.variants import BASE, Variant
 
 # Base seeds of the three kinds of evaluations. They differ from the default seed of datasets, 0.
 RANKING_SEED, CHOOSING_SEED, CONFIRMING_SEED = 1_000_001, 1_000_002, 1_000_003
 # A second evaluation follows when the mean reaches this share of the best score.
 _SECOND_EVALUATION_SHARE = 0.98
-
-
-@dataclass(frozen=True)
-class Task:
-    """The description of a training run.
-
-    Attributes:
-        variant: the variant to train in.
-        settings: the hyperparameters.
-        seed: seed of all that is random.
-        start: name of the agent that the run starts from, or ``scratch``.
-        agent: the arrays of that agent; empty from scratch.
-        start_sha256: digest of that agent's actor, from its record.
-        target: the run stops at this return (mean less standard deviation, over the deciding episodes).
-        among: if given, train and evaluate in these variants instead, one drawn for each episode.
-    """
-
-    variant: Variant
-    settings: Hyperparameters
-    seed: int = 0
-    start: str = SCRATCH
-    agent: dict[str, Array] = field(default_factory=dict, repr=False)
-    start_sha256: str = ""
-    target: float = float("inf")
-    among: tuple[Variant, ...] = ()
-
-    @property
-    def path(self) -> tuple[Variant, ...]:
-        """The milder variants and the variant itself, in order of training; empty without milder ones."""
-        stones = self.variant.milder(self.settings.stones)
-        return (*stones, self.variant) if stones else ()
-
-    def place(self, steps: int) -> Variant | None:
-        """Return the variant of the path to train in after ``steps`` steps, or None if the path is empty."""
-        if not self.path:
-            return None
-        stones, approach = len(self.path) - 1, round(self.settings.approach_share * self.settings.max_steps)
-        return self.path[min(stones, stones * steps // max(1, approach))]
-
-    def environment(self, among: tuple[Variant, ...] = ()) -> gym.Env[Any, Any]:
-        """Return a new environment of the variant, or of all variants in ``among``."""
-        if among:
-            return gym.make(collection_spec(f"{self.variant.robot}-all", among), disable_env_checker=True)
-        return make(self.variant, disable_env_checker=True)
 
 
 @dataclass
@@ -95,7 +53,7 @@ class Progress:
         steps: environment steps done.
         updates: gradient steps done.
         wall_seconds: wall time in seconds, evaluations included.
-        best_score: mean less standard deviation of the best actor's return.
+        best: evaluation of the best actor over the deciding episodes; empty before the first actor.
         best_steps: environment steps at which the best actor was found.
         evaluations: one entry for each evaluated interval.
         episodes: number of training episodes begun. It seeds the next episode.
@@ -105,14 +63,28 @@ class Progress:
     steps: int = 0
     updates: int = 0
     wall_seconds: float = 0.0
-    best_score: float = float("-inf")
+    best: dict[str, Any] = field(default_factory=dict)
     best_steps: int = 0
     evaluations: list[dict[str, Any]] = field(default_factory=list)
     episodes: int = 0
 
+    @property
+    def best_score(self) -> float:
+        """Score of the best actor; -inf before the first actor."""
+        return score(self.best) if self.best else float("-inf")
+
+
+def score(evaluation: Mapping[str, Any]) -> float:
+    """Return the mean of mean and lowest return. It is low for a policy that falls now and then."""
+    return float(evaluation["return_mean"] + evaluation["return_min"]) / 2
+
 
 # Called after every interval.
 OnInterval = Callable[[Progress, Hyperparameters], None]
+
+
+def do_nothing(progress: Progress, settings: Hyperparameters) -> None:
+    """Do nothing after an interval."""
 
 
 class SeededResets(gym.Wrapper[Any, Any, Any, Any]):
@@ -166,7 +138,7 @@ class Run:
         elif task.agent:
             restore_agent(self._agent, task.agent)
 
-    def train(self, on_interval: OnInterval | None = None) -> dict[str, Any]:
+    def train(self, on_interval: OnInterval = do_nothing) -> dict[str, Any]:
         """Train until the target or the last step and return the record of the best actor.
 
         Args:
@@ -175,9 +147,8 @@ class Run:
         if self.task.agent and not self.progress.intervals:
             self._evaluate_actor(time.monotonic())
         while not self.finished:
-            self._train_interval()
-            if on_interval is not None:
-                on_interval(self.progress, self.task.settings)
+            self.train_interval()
+            on_interval(self.progress, self.task.settings)
         return self._make_record()
 
     @property
@@ -208,7 +179,8 @@ class Run:
         self._agent.replay_buffer = before.replay_buffer
         self._agent.num_timesteps, self._agent._n_updates = before.num_timesteps, before._n_updates
 
-    def _train_interval(self) -> None:
+    def train_interval(self) -> None:
+        """Train for one interval, evaluate the actor and write a checkpoint."""
         begin = time.monotonic()
         settings, progress = self.task.settings, self.progress
         if self._learning_rate != settings.rate(progress.steps):
@@ -241,31 +213,29 @@ class Run:
         arrays = actor_arrays(self._agent)
         ranked = self._evaluate(arrays, settings.ranking_episodes, RANKING_SEED)
         save_arrays(self.folder / "ladder" / f"{progress.steps}.safetensors", arrays)
-        if ranked.return_mean >= _SECOND_EVALUATION_SHARE * progress.best_score:
-            score = self._measure_score(arrays)
-            if score > progress.best_score:
-                progress.best_score, progress.best_steps = score, progress.steps
-                save_arrays(self.folder / "best.safetensors", arrays)
-                if self.task.variant.category == BASE:
-                    # The base's variants start from this agent.
-                    save_arrays(self.folder / "best-agent.safetensors", agent_arrays(self._agent))
+        if ranked["return_mean"] >= _SECOND_EVALUATION_SHARE * progress.best_score and (
+            better := self._better_evaluation(arrays)
+        ):
+            progress.best, progress.best_steps = better, progress.steps
+            save_arrays(self.folder / "best.safetensors", arrays)
+            if self.task.variant.category == BASE:
+                # The base's variants start from this agent.
+                save_arrays(self.folder / "best-agent.safetensors", agent_arrays(self._agent))
         progress.wall_seconds += time.monotonic() - begin
-        progress.evaluations.append(
-            {"steps": progress.steps, "best_score": progress.best_score} | ranked.asdict()
-        )
+        progress.evaluations.append({"steps": progress.steps} | ranked)
 
-    def _measure_score(self, arrays: dict[str, Array]) -> float:
-        """Return mean less deviation over the deciding episodes, or over fewer if those are not better."""
-        score = float("-inf")
+    def _better_evaluation(self, arrays: dict[str, Array]) -> dict[str, Any]:
+        """Return the evaluation over the deciding episodes, or nothing if the actor is not the best."""
+        evaluation: dict[str, Any] = {}
         for episodes in (self.task.settings.choosing_episodes, self.task.settings.deciding_episodes):
-            score = self._evaluate(arrays, episodes, CHOOSING_SEED).mean_less_std
-            if score <= self.progress.best_score:
-                break
-        return score
+            evaluation = self._evaluate(arrays, episodes, CHOOSING_SEED)
+            if score(evaluation) <= self.progress.best_score:
+                return {}
+        return evaluation
 
-    def _evaluate(self, arrays: dict[str, Array], episodes: int, seed: int) -> Evaluation:
-        actor = actor_of(arrays, self.task.settings.algorithm).for_robot(self.task.variant.robot)
-        return evaluate(self._evaluation_env, actor, episodes=episodes, seed=seed)
+    def _evaluate(self, arrays: dict[str, Array], episodes: int, seed: int) -> dict[str, Any]:
+        actor = actor_of(arrays, self.task.variant.robot)
+        return evaluate(self._evaluation_env, actor, episodes=episodes, seed=seed).asdict()
 
     def _save_checkpoint(self) -> None:
         buffer = self._agent.replay_buffer
@@ -297,7 +267,7 @@ class Run:
         confirmed = self._evaluate(arrays, task.settings.confirming_episodes, CONFIRMING_SEED)
         return {
             "variant": str(task.variant),
-            "algorithm": task.settings.algorithm,
+            "algorithm": ALGORITHM,
             "library": f"sbx-rl {version('sbx-rl')}",
             "start": task.start,
             "start_sha256": task.start_sha256,
@@ -308,8 +278,9 @@ class Run:
             "hyperparameters": task.settings.asdict(),
             "wall_seconds": round(progress.wall_seconds, 1),
             "versions": {name: version(name) for name in ("mujoco", "gymnasium", "jax", "sbx-rl", "numpy")},
-            "weights_sha256": actor_of(arrays, task.settings.algorithm).sha256,
-            "evaluation": confirmed.asdict(),
+            "weights_sha256": actor_of(arrays, task.variant.robot).sha256,
+            "selection": progress.best,
+            "evaluation": confirmed,
             "random": random_evaluation(task.variant).asdict(),
         }
 
@@ -324,7 +295,12 @@ def load_progress(folder: Path) -> Progress:
 
 
 def _stored_progress(checkpoint: dict[str, Array]) -> Progress:
-    return Progress(**json.loads(checkpoint["progress"].tobytes()))
+    try:
+        return Progress(**json.loads(checkpoint["progress"].tobytes()))
+    except TypeError:
+        raise TrainingError(
+            "the unfinished run is of another version of this package: remove its state folder"
+        ) from None
 
 
 def _strip_prefix(prefix: str, arrays: dict[str, Array]) -> dict[str, Array]:

@@ -7,7 +7,7 @@ no expert, but it falls less often than the base's agent in a strongly changed v
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +15,13 @@ from imujoco_minari.errors import PolicyNotFoundError
 from imujoco_minari.policies import Array, agent_file, expert_record
 from imujoco_minari.policies.evaluation import evaluate
 from imujoco_minari.training.agents import actor_of, agent_actor, load_arrays
-from imujoco_minari.training.hyperparameters import WARM, hyperparameters
+from imujoco_minari.training.run import score
 from imujoco_minari.variants import Variant
 
-START_SEED = 1_000_005
+EPISODES, START_SEED = 5, 1_000_005
 
 
-@dataclass(frozen=True)
+@dataclass
 class Start:
     """An agent to start from.
 
@@ -29,7 +29,7 @@ class Start:
         name: name of the agent.
         sha256: digest of its actor, from its record.
         agent: arrays of the agent.
-        score: mean less standard deviation of its return on the variant; -inf if not evaluated.
+        score: score of its evaluation on the variant; -inf if not evaluated.
     """
 
     name: str
@@ -43,13 +43,13 @@ def generalist_name(robot: str) -> str:
     return f"{robot}-all"
 
 
-def generalist_record(robot: str, policies: Path | None = None) -> dict[str, Any]:
+def generalist_record(robot: str, policies: Path) -> dict[str, Any]:
     """Return the training record of a robot's generalist; empty if it does not exist."""
     path = agent_file(generalist_name(robot), policies)
     return {} if path is None else json.loads(path.with_suffix(".json").read_text("utf-8"))
 
 
-def base_start(variant: Variant, policies: Path | None = None) -> Start:
+def base_start(variant: Variant, policies: Path) -> Start:
     """Return the agent of a variant's base.
 
     Raises:
@@ -64,7 +64,7 @@ def base_start(variant: Variant, policies: Path | None = None) -> Start:
     return Start(str(variant.base), str(record["weights_sha256"]), load_arrays(path))
 
 
-def best_start(variant: Variant, policies: Path | None = None) -> Start:
+def best_start(variant: Variant, policies: Path) -> Start:
     """Return the better start for a variant: its base's agent, or the robot's generalist if it exists.
 
     Raises:
@@ -74,11 +74,7 @@ def best_start(variant: Variant, policies: Path | None = None) -> Start:
     if path is not None:
         record = generalist_record(variant.robot, policies)
         starts.append(Start(generalist_name(variant.robot), str(record["weights_sha256"]), load_arrays(path)))
-    return max((_evaluate_start(variant, start) for start in starts), key=lambda start: start.score)
-
-
-def _evaluate_start(variant: Variant, start: Start) -> Start:
-    settings = hyperparameters(variant.robot, WARM)
-    actor = actor_of(agent_actor(start.agent), settings.algorithm).for_robot(variant.robot)
-    outcome = evaluate(variant, actor, episodes=settings.ranking_episodes, seed=START_SEED)
-    return replace(start, score=outcome.mean_less_std)
+    for start in starts:
+        actor = actor_of(agent_actor(start.agent), variant.robot)
+        start.score = score(evaluate(variant, actor, episodes=EPISODES, seed=START_SEED).asdict())
+    return max(starts, key=lambda start: start.score)

@@ -50,7 +50,7 @@ def _run_rows(wanted: set[str], options: argparse.Namespace) -> list:
     from imujoco_minari.policies import policies_folder
     from imujoco_minari.variants import ROBOTS, Variant
     from scripts.speed import collecting, datasets, starting, training
-    from scripts.speed.subjects import actor_of, publish_copies, save_actor, stand_in_records
+    from scripts.speed.subjects import publish_copies, saved_actor, stand_in_records
 
     if "train" not in wanted:
         os.environ["IMUJOCO_HOME"] = str(Path(os.environ["MINARI_DATASETS_PATH"]).with_name("home"))
@@ -72,19 +72,19 @@ def _run_rows(wanted: set[str], options: argparse.Namespace) -> list:
         }
         options.output.write_text(json.dumps(figures, indent=1))
 
+    collected = {}
     if wanted & {"collect", "publish"}:
         for robot in ROBOTS:
-            add_rows(collecting.collection_row(robot, policies, rounds, int(20_000 * scale)))
+            collected[robot] = collecting.collection_row(robot, policies, rounds, int(20_000 * scale))
+            add_rows(collected[robot])
     if wanted & {"jobs", "publish"}:
-        add_rows(collecting.jobs_row(policies, max(1, rounds // 2), max(2, int(20 * scale))))
+        jobs = collecting.jobs_row(policies, max(1, rounds // 2), max(2, int(20 * scale)))
+        add_rows(jobs)
     if "publish" in wanted:
-        collections = dict(zip(ROBOTS, rows[:3], strict=True))
-        scaling = rows[3].ratios["times one process"]
-        add_rows(collecting.publishing_row(policies, max(5, int(50 * scale)), scaling, collections))
+        scaling = jobs.ratios["times one process"]
+        add_rows(collecting.publishing_row(policies, max(5, int(50 * scale)), scaling, collected))
     if wanted & {"combine", "load", "sample"}:
-        actor, _ = actor_of("halfcheetah", policies)
-        with tempfile.TemporaryDirectory() as folder:
-            policy = save_actor(actor, Path(folder) / "actor.safetensors")
+        with saved_actor("halfcheetah", policies) as (policy, _):
             ids = publish_copies(Variant.parse("halfcheetah-base"), policy, int(100 * scale), 20)
         if "combine" in wanted:
             add_rows(datasets.combining_row(ids, rounds))

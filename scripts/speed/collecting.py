@@ -29,7 +29,7 @@ from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.variants import ROBOTS, Variant, catalogue, specification
 from imujoco_minari.verification import verify
 from scripts.speed.measuring import LIMIT, OURS, STOCK, Row, rates, ratio, take_turns
-from scripts.speed.subjects import UNTRAINED, actor_of, save_actor
+from scripts.speed.subjects import UNTRAINED, actor_of, saved_actor
 
 # Targets of collecting: the speed relative to the stock collector and to bare stepping.
 TARGETS = {"halfcheetah": (4.0, 0.75), "hopper": (2.2, 0.85), "walker2d": (2.2, 0.85)}
@@ -117,9 +117,7 @@ def _bare_stepping_loop(data: Path, env: gym.Env[Any, Any]) -> Callable[[], None
 
 def jobs_row(policies: Path | None, rounds: int, episodes: int) -> Row:
     """Measure publishing with two processes against one, and bare stepping with two against one."""
-    actor, origin = actor_of("halfcheetah", policies)
-    with tempfile.TemporaryDirectory() as folder:
-        policy = save_actor(actor, Path(folder) / "actor.safetensors")
+    with saved_actor("halfcheetah", policies) as (policy, origin):
         recipes = [
             Recipe(variant, "bench", episodes, policy=policy) for variant in catalogue("halfcheetah", "mass")
         ]
@@ -205,9 +203,7 @@ def _start_bare_processes(data: Path, count: int) -> Iterator[Callable[[], None]
 
 def verification_row(policies: Path | None, rounds: int, episodes: int, cores: int) -> Row:
     """Measure the complete check of a dataset on all cores against bare stepping on all cores."""
-    actor, origin = actor_of("halfcheetah", policies)
-    with tempfile.TemporaryDirectory() as folder:
-        policy = save_actor(actor, Path(folder) / "actor.safetensors")
+    with saved_actor("halfcheetah", policies) as (policy, origin):
         published = publish(
             Recipe(Variant.parse("halfcheetah-base"), "bench", episodes, policy=policy), force=True
         )
@@ -256,13 +252,13 @@ def publishing_row(policies: Path | None, episodes: int, scaling: float, collect
     ours = stock = 0.0
     rates = []
     for robot in ROBOTS:
-        actor, origin = actor_of(robot, policies)
+        origin = actor_of(robot, policies)[1]
         figures = collections[robot].figures
         if origin == UNTRAINED:
             # Its episodes are too short for an estimate of full ones, so the other robots' share is assumed.
             rate, origin = 0.75 * figures[LIMIT], "estimated at 75 % of bare stepping"
         else:
-            rate = _measure_publishing_rate(robot, actor, episodes)
+            rate = _measure_publishing_rate(robot, policies, episodes)
         total = len(catalogue(robot)) * 100 * 1000
         ours += total / rate / scaling
         stock += total / figures[STOCK]
@@ -279,15 +275,12 @@ def publishing_row(policies: Path | None, episodes: int, scaling: float, collect
     )
 
 
-def _measure_publishing_rate(robot: str, actor: Actor, episodes: int) -> float:
+def _measure_publishing_rate(robot: str, policies: Path | None, episodes: int) -> float:
     """Return the rate, in steps per second and process, of publishing some variants of a robot."""
     everything = catalogue(robot)
-    with tempfile.TemporaryDirectory() as folder:
-        policy = save_actor(actor, Path(folder) / "actor.safetensors")
-        recipes = [
-            Recipe(variant, "bench", episodes, policy=policy)
-            for variant in everything[:: len(everything) // 4][:4]
-        ]
+    chosen = everything[:: len(everything) // 4][:4]
+    with saved_actor(robot, policies) as (policy, _):
+        recipes = [Recipe(variant, "bench", episodes, policy=policy) for variant in chosen]
         outcomes = [publish(recipe, force=True) for recipe in recipes]
     return sum(outcome.steps for outcome in outcomes) / sum(outcome.seconds for outcome in outcomes)
 

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
+from safetensors.numpy import save_file
 
 from imujoco_minari.errors import PolicyNotFoundError
 from imujoco_minari.policies import Actor, expert_actor, expert_record, read_actor
@@ -60,12 +64,14 @@ def stand_in_records(folder: Path) -> None:
             (folder / f"{variant}.json").write_text(json.dumps({"random": random}))
 
 
-def save_actor(actor: Actor, path: Path) -> Path:
-    """Write an actor to a file for a recipe and return its path."""
-    from safetensors.numpy import save_file
-
-    save_file({name: np.ascontiguousarray(array) for name, array in actor.weights.items()}, path)
-    return path
+@contextmanager
+def saved_actor(robot: str, folder: Path | None) -> Iterator[tuple[Path, str]]:
+    """Yield a file with the actor of :func:`actor_of`, for recipes, and the description of its origin."""
+    actor, origin = actor_of(robot, folder)
+    with TemporaryDirectory() as place:
+        path = Path(place) / "actor.safetensors"
+        save_file({name: np.ascontiguousarray(array) for name, array in actor.weights.items()}, path)
+        yield path, origin
 
 
 def publish_copies(variant: Variant, policy: Path, episodes: int, copies: int) -> list[str]:

@@ -15,7 +15,7 @@ from imujoco_minari import combine_datasets, publish
 from imujoco_minari.cli.app import run
 from imujoco_minari.errors import DatasetError, DependencyError
 from imujoco_minari.pictures.plotting.datasets import (
-    QUESTIONS,
+    FIGURES,
     Series,
     draw_actions,
     draw_lengths,
@@ -158,9 +158,9 @@ def test_each_figure_is_a_png_and_an_svg_and_the_same_when_drawn_again(
 ) -> None:
     seen: list[int] = []
     files = plot_datasets(series, tmp_path / "a", on_figure=lambda: seen.append(1))
-    assert len(seen) == len(QUESTIONS) == 4
+    assert len(seen) == len(FIGURES) == 4
     assert [file.name for file in files] == [
-        f"{question.name}.{ending}" for question in QUESTIONS for ending in ("png", "svg")
+        f"{name}.{ending}" for name in FIGURES for ending in ("png", "svg")
     ]
     for file in files:
         if file.suffix == ".png":

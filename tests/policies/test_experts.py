@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +16,11 @@ from imujoco_minari.policies import (
     expert_record,
     expert_variants,
     policies_folder,
-    read_actor,
 )
+from imujoco_minari.policies.experts import shipped_folder
 from imujoco_minari.policies.rollouts import episode_seed, roll_out
-from imujoco_minari.policies.tiers import parts, rung_file
+from imujoco_minari.policies.rungs import read_rung
+from imujoco_minari.policies.tiers import parts
 from imujoco_minari.training.run import CONFIRMING_SEED
 from imujoco_minari.training.starts import generalist_name
 from imujoco_minari.variants import Variant
@@ -46,8 +46,7 @@ def test_a_record_is_of_the_weights_beside_it(variant: Variant) -> None:
     assert record["start"] in ("scratch", str(variant.base), generalist_name(variant.robot))
     assert len(record["ladder"]) >= 4
     for rung in record["ladder"]:
-        path = Path(str(resources.files("imujoco_minari") / "weights" / rung_file(variant, rung["steps"])))
-        read_actor(path).check(variant.robot)
+        read_rung(variant, rung, shipped_folder()).check(variant.robot)
 
 
 @pytest.mark.parametrize("variant", SAMPLE, ids=str)

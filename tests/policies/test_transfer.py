@@ -20,6 +20,7 @@ from imujoco_minari.policies.transfer import (
     COLUMNS,
     Transfer,
     columns,
+    evaluate_cells,
     evaluate_transfer,
     expert_policies,
     write_csv,
@@ -68,12 +69,9 @@ def evaluations(transfer: Transfer) -> dict[tuple[str, Variant], Any]:
 
 
 def test_every_policy_is_evaluated_on_every_variant(tmp_path: Path, policies: dict[str, Policy]) -> None:
-    seen: list[int] = []
-    result = evaluate_transfer(
-        policies, VARIANTS, tmp_path / "state.json", episodes=2, seed=4, on_cell=lambda: seen.append(1)
-    )
+    result = evaluate_transfer(policies, VARIANTS, tmp_path / "state.json", episodes=2, seed=4)
     assert result.policies == ("hopper-base", "mine", "random")
-    assert len(result.cells) == len(seen) == 9
+    assert len(result.cells) == 9
     expected = evaluate(VARIANTS[2], policies["mine"], episodes=2, seed=4)
     assert result.cells["mine", VARIANTS[2]].asdict() == expected.asdict()
     assert result.returns()[1][2] == expected.return_mean
@@ -92,12 +90,9 @@ def test_a_second_run_evaluates_nothing(
 def test_a_run_that_was_broken_off_goes_on(
     tmp_path: Path, policies: dict[str, Policy], evaluated: list[tuple[str, str]]
 ) -> None:
-    def stop() -> None:
+    for _ in evaluate_cells(policies, VARIANTS, tmp_path / "state.json", episodes=1):
         if len(evaluated) == 4:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        evaluate_transfer(policies, VARIANTS, tmp_path / "state.json", episodes=1, on_cell=stop)
+            break
     evaluate_transfer(policies, VARIANTS, tmp_path / "state.json", episodes=1)
     assert len(evaluated) == len(set(evaluated)) == 9
     assert [path.name for path in tmp_path.iterdir()] == ["state.json"]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -58,14 +59,6 @@ class Series:
     data: Arrays
 
 
-@dataclass(frozen=True, eq=False)
-class Question:
-    """One figure: the name of its files and the function that draws it."""
-
-    name: str
-    draw: Callable[[Sequence[Series]], Figure]
-
-
 def load_series(dataset_id: str) -> Series:
     """Load a dataset for drawing.
 
@@ -114,8 +107,8 @@ def plot_datasets(
             f"plots compare datasets of one robot, not of {' and '.join(robots)}: plot each robot separately"
         )
     files = []
-    for question in QUESTIONS:
-        files += save(question.draw(series), folder / question.name)
+    for name, draw in FIGURES.items():
+        files += save(draw(series), folder / name)
         if on_figure is not None:
             on_figure()
     return files
@@ -150,12 +143,19 @@ def draw_observations(series: Sequence[Series]) -> Figure:
     return _draw_distributions(series, columns, observation_quantities(series[0].robot), title)
 
 
-QUESTIONS = (
-    Question("returns", draw_returns),
-    Question("lengths", draw_lengths),
-    Question("actions", draw_actions),
-    Question("observations", draw_observations),
-)
+# The name of each figure's files, and the function that draws it.
+FIGURES: dict[str, Callable[[Sequence[Series]], Figure]] = {
+    "returns": draw_returns,
+    "lengths": draw_lengths,
+    "actions": draw_actions,
+    "observations": draw_observations,
+}
+
+
+def _line_styles(series: Sequence[Series]) -> list[dict[str, Any]]:
+    """Return the style of each series; the base robots' are grey and have none of the numbered styles."""
+    numbers = count()
+    return [{"color": BASE_EDGE} if one.is_base else line_style(next(numbers)) for one in series]
 
 
 def _draw_rows(series: Sequence[Series], values: Sequence[Array], title: str, unit: str) -> Figure:
@@ -164,10 +164,8 @@ def _draw_rows(series: Sequence[Series], values: Sequence[Array], title: str, un
     with settings():
         axes = figure.subplots()
         rng = np.random.default_rng(0)
-        number = 0
-        for row, (one, numbers) in enumerate(zip(series, values, strict=True)):
-            colour = BASE_EDGE if one.is_base else line_style(number)["color"]
-            number += not one.is_base
+        for row, (numbers, style) in enumerate(zip(values, _line_styles(series), strict=True)):
+            colour = style["color"]
             height = row + rng.uniform(-0.22, 0.22, len(numbers))
             axes.plot(numbers, height, ".", color=colour, alpha=0.45, markersize=4, markeredgewidth=0)
             low, middle, high = np.percentile(numbers, (25, 50, 75))
@@ -209,14 +207,12 @@ def _draw_distribution(axes: Axes, series: Sequence[Series], values: Sequence[Ar
     if low == high:
         low, high = low - 0.5, high + 0.5
     edges = np.linspace(low, high, BINS + 1)
-    number = 0
-    for one, numbers in zip(series, values, strict=True):
+    for one, numbers, style in zip(series, values, _line_styles(series), strict=True):
         # Values outside the bins count in the first or last bin, so no step is hidden.
         counts, _ = np.histogram(np.clip(numbers.astype(np.float64), low, high), edges)
         share = 100.0 * counts / len(numbers)
         if one.is_base:
             axes.stairs(share, edges, fill=True, color=BASE_FILL, label=one.label)
         else:
-            axes.stairs(share, edges, label=one.label, linewidth=1.2, **line_style(number))
-            number += 1
+            axes.stairs(share, edges, label=one.label, linewidth=1.2, **style)
     axes.set_xlim(low, high)

@@ -23,16 +23,12 @@ class Quantity(NamedTuple):
 def observation_quantities(robot: str) -> list[Quantity]:
     """Return the columns of an observation: positions without the travelled distance, then velocities."""
     model = compile_mjcf(canonical_mjcf(Variant(robot)))
-    hinges = [model.jnt_type[i] == mujoco.mjtJoint.mjJNT_HINGE for i in range(model.njnt)]
-    names = [model.joint(i).name for i in range(model.njnt)]
-    positions = [
-        Quantity(f"{'angle' if hinge else 'position'} of {name}", "rad" if hinge else "m")
-        for name, hinge in zip(names, hinges, strict=True)
-    ]
-    velocities = [
-        Quantity(f"velocity of {name}", "rad/s" if hinge else "m/s")
-        for name, hinge in zip(names, hinges, strict=True)
-    ]
+    positions, velocities = [], []
+    for number, kind in enumerate(model.jnt_type):
+        what, unit = ("angle", "rad") if kind == mujoco.mjtJoint.mjJNT_HINGE else ("position", "m")
+        name = model.joint(number).name
+        positions.append(Quantity(f"{what} of {name}", unit))
+        velocities.append(Quantity(f"velocity of {name}", f"{unit}/s"))
     return positions[1:] + velocities
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import repeat
+from typing import Any
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
@@ -164,31 +165,19 @@ def captioned(picture: Image.Image, variant: Variant, title: str = "", state: st
         (below, change(variant), ink, state, INK),
     ):
         # The variants that change much have long names; the text on the right keeps up to half of the room.
-        wanted = draw.textlength(right_text, font=ImageFont.load_default(size * 0.85)) + size
-        left_room = room - min(wanted, room / 2) if right_text else room
-        width = _write_line(draw, (margin, height), left_text, left_ink, size, left_room)
-        _write_line(draw, (right, height), right_text, right_ink, size * 0.85, room - width, right=True)
+        wanted = ImageFont.load_default(size * 0.85).getlength(right_text) + size
+        font = _fitting_font(left_text, size, room - min(wanted, room / 2) if right_text else room)
+        draw.text((margin, height), left_text, left_ink, font)
+        free = room - font.getlength(left_text) - size
+        draw.text((right, height), right_text, right_ink, _fitting_font(right_text, size * 0.85, free), "ra")
     return whole
 
 
-def _write_line(
-    draw: ImageDraw.ImageDraw,
-    place: tuple[float, float],
-    text: str,
-    ink: tuple[int, ...],
-    size: float,
-    room: float,
-    *,
-    right: bool = False,
-) -> float:
-    """Write a line, smaller if it is wider than ``room`` pixels, and return its width in pixels."""
+def _fitting_font(text: str, size: float, room: float) -> Any:
+    """Return the font of a size, or a smaller one if the text is wider than ``room`` pixels."""
     font = ImageFont.load_default(size)
-    width = draw.textlength(text, font=font)
-    if width > room > 0:
-        font = ImageFont.load_default(max(6.0, size * room / width))
-        width = draw.textlength(text, font=font)
-    draw.text((place[0] - width if right else place[0], place[1]), text, fill=ink, font=font)
-    return width + size
+    width = font.getlength(text)
+    return font if width <= room or room <= 0 else ImageFont.load_default(max(6.0, size * room / width))
 
 
 def _join_side_by_side(pictures: Sequence[Image.Image]) -> Image.Image:

@@ -5,6 +5,7 @@ They come from the variant's own environment. Rendering does not simulate anythi
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,7 +13,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from imujoco_minari.envs.registration import MAX_EPISODE_STEPS, make
+from imujoco_minari.envs.registration import make
 from imujoco_minari.policies import Policy
 from imujoco_minari.policies.rollouts import roll_out
 from imujoco_minari.variants import Variant
@@ -116,29 +117,6 @@ def perform(
         seconds: maximal length in simulated seconds; None for a complete episode.
         title: title of the motion; empty for the policy's algorithm.
     """
-    recorder = PositionRecorder(make(variant, max_episode_steps=_max_steps(variant, seconds)))
-    try:
+    with closing(PositionRecorder(make(variant))) as recorder:
         roll_out(recorder, policy, seed)
-        return recorder.motion(variant, title or f"{policy.algorithm} policy")
-    finally:
-        recorder.close()
-
-
-def _max_steps(variant: Variant, seconds: float | None) -> int:
-    if seconds is None:
-        return MAX_EPISODE_STEPS
-    return max(1, min(MAX_EPISODE_STEPS, round(seconds / timestep(variant))))
-
-
-def timestep(variant: Variant, mjcf: str | None = None) -> float:
-    """Return the seconds of simulation that a step of ``variant``'s environment takes.
-
-    Args:
-        variant: a variant.
-        mjcf: the text of its model, for a variant of the original archive.
-    """
-    env = make(variant, mjcf)
-    try:
-        return float(env.unwrapped.dt)  # type: ignore[attr-defined]
-    finally:
-        env.close()
+        return recorder.motion(variant, title or f"{policy.algorithm} policy").until(seconds)

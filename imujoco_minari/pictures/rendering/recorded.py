@@ -8,6 +8,7 @@ is the sum of the recorded velocities.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from imujoco_minari.envs.mjcf import compile_mjcf, model_text
 from imujoco_minari.envs.registration import make
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError
-from imujoco_minari.pictures.rendering.motion import Motion, PositionRecorder, timestep
+from imujoco_minari.pictures.rendering.motion import Motion, PositionRecorder
 from imujoco_minari.storage import containment, file_format, minari_root
 from imujoco_minari.storage.metadata import read_metadata
 from imujoco_minari.storage.missing import not_in_root
@@ -67,8 +68,7 @@ class Recorded:
         return self._from_observations() if self.seed is None else self._replay()
 
     def _replay(self) -> Motion:
-        recorder = PositionRecorder(make(self.variant, self.mjcf))
-        try:
+        with closing(PositionRecorder(make(self.variant, self.mjcf))) as recorder:
             observation, _ = recorder.reset(seed=self.seed)
             divergence = float(np.abs(observation - self.observations[0]).max())
             for action, expected in zip(self.actions, self.observations[1:], strict=True):
@@ -77,11 +77,10 @@ class Recorded:
                 if terminated or truncated:
                     break
             return recorder.motion(self.variant, self.title, divergence)
-        finally:
-            recorder.close()
 
     def _from_observations(self) -> Motion:
-        step = timestep(self.variant, self.mjcf)
+        with closing(make(self.variant, self.mjcf)) as env:
+            step = float(env.unwrapped.dt)  # type: ignore[attr-defined]
         # The positions that are not observed are the distances run: forward, and for some robots sideways.
         others = specification(self.variant.robot).observed_positions
         hidden = compile_mjcf(model_text(self.variant, self.mjcf)).nq - others

@@ -47,7 +47,7 @@ def scene_model(
         fine: smooth edges and sharp shadows, at twice the time.
 
     Raises:
-        RenderingError: when the model has no geom ``floor``, as a variant of the archive may.
+        RenderingError: if the model has no geom ``floor``, as a variant of the archive may.
     """
     spec = mujoco.MjSpec.from_string(model_text(variant, mjcf))
     if spec.geom("floor") is None:

@@ -1,0 +1,112 @@
+"""Rungs: actors saved while an expert was trained. A variant's record lists them as its ladder.
+
+An entry of a ladder states the ``steps`` of training after which the rung was saved and its ``evaluation``
+on the variant. ``run`` names the variant whose training saved it; without ``run`` it is the base robot's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from imujoco_minari.errors import PolicyNotFoundError
+from imujoco_minari.policies.actors import Actor
+from imujoco_minari.policies.experts import expert_record, find_policy_file
+from imujoco_minari.policies.files import read_actor
+from imujoco_minari.variants import Variant
+
+Rung = Mapping[str, Any]
+_Rung = TypeVar("_Rung", bound=Rung)
+
+# Medium is the rung whose return is nearest to this share of the expert's. It should be within the range.
+# The training run of medium-replay ends at the first actor that reaches the share.
+MEDIUM_SHARE = 0.42
+MEDIUM_RANGE = (1 / 3, 1 / 2)
+# Shares that the rungs of ranked data should have, below the expert, and how far they may be off.
+RANKED_SHARES = (0.8, 0.6, 0.4, 0.2)
+RANKED_TOLERANCE = 0.1
+
+
+def ladder(variant: Variant) -> Sequence[Rung]:
+    """Return the rungs in the variant's training record, the lowest return first.
+
+    Raises:
+        PolicyNotFoundError: if the variant has no record, or its record has no ladder.
+    """
+    rungs = expert_record(variant).get("ladder")
+    if not rungs:
+        raise PolicyNotFoundError(
+            f"no ladder of policies exists for {variant}: `imujoco train {variant}` measures one"
+        )
+    return sorted(rungs, key=mean_return)
+
+
+def medium_rung(rungs: Sequence[_Rung], expert_return: float) -> _Rung:
+    """Return the rung whose return is nearest to 0.42 of the expert's."""
+    return min(rungs, key=lambda rung: abs(mean_return(rung) - MEDIUM_SHARE * expert_return))
+
+
+def ranked_rungs(rungs: Sequence[Rung], expert_return: float) -> list[Rung]:
+    """Return the rungs below the expert that are nearest to :data:`RANKED_SHARES`, the best first.
+
+    There are fewer of them if fewer rungs are below the expert.
+    """
+    below = [rung for rung in rungs if mean_return(rung) < expert_return]
+    chosen: list[Rung] = []
+    for share in RANKED_SHARES[: len(below)]:
+        wanted = share * expert_return
+        chosen.append(min((r for r in below if r not in chosen), key=lambda r: abs(mean_return(r) - wanted)))
+    return sorted(chosen, key=mean_return, reverse=True)
+
+
+def has_medium(record: Mapping[str, Any]) -> bool:
+    """Return whether the medium rung of a training record has a third to a half of the expert's return."""
+    rungs, expert_return = record.get("ladder"), mean_return(record)
+    if not rungs:
+        return False
+    low, high = (share * expert_return for share in MEDIUM_RANGE)
+    return low <= mean_return(medium_rung(rungs, expert_return)) <= high
+
+
+def has_even_ranks(record: Mapping[str, Any]) -> bool:
+    """Return whether the ranked rungs of a training record have about the returns that they should have."""
+    expert_return = mean_return(record)
+    chosen = ranked_rungs(record.get("ladder", ()), expert_return)
+    return len(chosen) == len(RANKED_SHARES) and all(
+        abs(mean_return(rung) / expert_return - share) <= RANKED_TOLERANCE
+        for rung, share in zip(chosen, RANKED_SHARES, strict=True)
+    )
+
+
+def rung_file(run: Variant | str, steps: int) -> str:
+    """Return the file name of the rung that the training of a variant or base saved after ``steps`` steps."""
+    return f"{run}.rung-{steps}.safetensors"
+
+
+def read_rung(
+    variant: Variant, rung: Rung, folder: Path | None = None, *, deterministic: bool = True
+) -> Actor:
+    """Return the actor of a rung in the ladder of ``variant``.
+
+    Args:
+        variant: the variant.
+        rung: an entry of its ladder.
+        folder: folder to search before the package's; None for the user's policies.
+        deterministic: whether the actor takes the mode of its distribution, or a sample.
+
+    Raises:
+        PolicyNotFoundError: if the file of the rung is missing.
+        PolicyError: if the file holds no actor.
+    """
+    name = rung_file(rung.get("run", variant.base), rung["steps"])
+    path = find_policy_file(name, folder)
+    if path is None:
+        raise PolicyNotFoundError(f"the training record of {variant} names {name}, which is missing")
+    algorithm = expert_record(variant, folder).get("algorithm", "SAC")
+    return read_actor(path, deterministic=deterministic, algorithm=algorithm).for_robot(variant.robot)
+
+
+def mean_return(measured: Mapping[str, Any]) -> float:
+    """Return the mean return in the evaluation of a rung or of a training record."""
+    return float(measured["evaluation"]["return_mean"])

@@ -1,0 +1,57 @@
+"""The description of a training run: variant, hyperparameters, seed, start and target."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import gymnasium as gym
+
+from imujoco_minari.envs.registration import collection_spec, make
+from imujoco_minari.policies import Array
+from imujoco_minari.training.hyperparameters import SCRATCH, Hyperparameters
+from imujoco_minari.variants import Variant
+
+
+@dataclass(frozen=True)
+class Task:
+    """The description of a training run.
+
+    Attributes:
+        variant: the variant to train in.
+        settings: the hyperparameters.
+        seed: seed of all that is random.
+        start: name of the agent that the run starts from, or ``scratch``.
+        agent: the arrays of that agent; empty from scratch.
+        start_sha256: digest of that agent's actor, from its record.
+        target: the run stops when an actor's evaluation over the deciding episodes has this score.
+        among: if given, train and evaluate in these variants instead, one drawn for each episode.
+    """
+
+    variant: Variant
+    settings: Hyperparameters
+    seed: int = 0
+    start: str = SCRATCH
+    agent: dict[str, Array] = field(default_factory=dict, repr=False)
+    start_sha256: str = ""
+    target: float = float("inf")
+    among: tuple[Variant, ...] = ()
+
+    @property
+    def path(self) -> tuple[Variant, ...]:
+        """The milder variants and the variant itself, in order of training; empty without milder ones."""
+        stones = self.variant.milder(self.settings.stones)
+        return (*stones, self.variant) if stones else ()
+
+    def place(self, steps: int) -> Variant | None:
+        """Return the variant of the path to train in after ``steps`` steps, or None if the path is empty."""
+        if not self.path:
+            return None
+        stones, approach = len(self.path) - 1, round(self.settings.approach_share * self.settings.max_steps)
+        return self.path[min(stones, stones * steps // max(1, approach))]
+
+    def environment(self, among: tuple[Variant, ...] = ()) -> gym.Env[Any, Any]:
+        """Return a new environment of the variant, or of all variants in ``among``."""
+        if among:
+            return gym.make(collection_spec(f"{self.variant.robot}-all", among), disable_env_checker=True)
+        return make(self.variant, disable_env_checker=True)

@@ -1,0 +1,69 @@
+"""Hyperparameters come from the file, the robot's page and the user, in this order, and are checked."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from imujoco_minari.cli.app import run
+from imujoco_minari.errors import CatalogueError
+from imujoco_minari.training import sweep
+from imujoco_minari.training.hyperparameters import SCRATCH, WARM, hyperparameter_changes, hyperparameters
+from imujoco_minari.training.plan import Plan
+from imujoco_minari.training.sweep import Trained
+from imujoco_minari.variants import ROBOTS, Variant
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_hyperparameters_are_layered_and_checked(robot: str) -> None:
+    scratch, warm = hyperparameters(robot, SCRATCH), hyperparameters(robot, WARM)
+    assert warm.max_steps < scratch.max_steps
+    assert hyperparameters(robot, WARM, max_steps=7).max_steps == 7
+    with pytest.raises(CatalogueError, match="unknown hyperparameter 'gama'"):
+        hyperparameters(robot, WARM, gama=0.9)
+
+
+def test_a_text_sets_a_value_of_the_right_type() -> None:
+    changes = hyperparameter_changes(["batch_size=256", "learning_rate=3e-4", "stones=0", "batch_size=64"])
+    assert changes == {"batch_size": 64, "learning_rate": 3e-4, "stones": 0}
+    assert [type(value) for value in changes.values()] == [int, float, int]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("batch_size", r"cannot set 'batch_size': write NAME=VALUE; names: approach_share, batch_size, "),
+        ("batch_sise=3", r"cannot set 'batch_sise=3' \(did you mean 'batch_size'\?\): write NAME=VALUE"),
+        ("algorithm=TQC", "cannot set 'algorithm=TQC'"),
+        ("batch_size=", "batch_size is a whole number above 0"),
+        ("batch_size=0.5", "batch_size is a whole number above 0"),
+        ("evaluate_every=0", "evaluate_every is a whole number above 0"),
+        ("gamma=nan", "gamma is a number above 0"),
+        ("learning_rate=1e999", "learning_rate is a number above 0"),
+        ("stones=-1", "stones is a whole number of at least 0"),
+    ],
+)
+def test_a_bad_text_is_refused_in_one_line(text: str, message: str) -> None:
+    with pytest.raises(CatalogueError, match=message):
+        hyperparameter_changes([text])
+
+
+def test_the_command_line_passes_the_changes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plans: list[Plan] = []
+
+    def train(variant: Variant, plan: Plan, on_interval: object) -> Trained:
+        plans.append(plan)
+        return Trained(variant, {"variant": str(variant)}, error="not tried")
+
+    monkeypatch.setattr(sweep, "train", train)
+    monkeypatch.setattr("os.nice", lambda by: 0)
+    given = ["--set", "gamma=0.98", "--set", "max_steps=7", "--max-steps", "9", "--state", str(tmp_path)]
+    assert run(["train", "hopper-massinc_37_torsogeom", *given, "--json"]) == 1
+    assert plans[0].changes == {"gamma": 0.98, "max_steps": 9}
+    assert json.loads(capsys.readouterr().out)[0]["error"] == "not tried"
+    assert run(["train", "hopper-base", "--set", "gama=1"]) == 1
+    assert "did you mean 'gamma'" in capsys.readouterr().err
