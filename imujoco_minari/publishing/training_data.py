@@ -69,8 +69,8 @@ def record_medium_replay(
     """Train on a variant from scratch up to the return of ``medium``, and publish the whole episodes.
 
     The run ends at the first actor whose score, the mean of the mean and the lowest return of 100 episodes,
-    reaches 0.42 of the expert's return. It always computes on the CPU, because a GPU rounds otherwise. The same seed gives
-    the same dataset, bit for bit, on one kind of processor with the same versions.
+    reaches 0.42 of the expert's return. It always computes on the CPU, because a GPU rounds otherwise. The
+    same seed gives the same dataset, bit for bit, on one kind of processor with the same versions.
 
     Args:
         recipe: a recipe of the tier. Its seed is that of the run.

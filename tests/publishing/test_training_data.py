@@ -16,7 +16,7 @@ from imujoco_minari.publishing import training_data
 from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.publishing.training_data import record_training
 from imujoco_minari.training.hyperparameters import SCRATCH, Hyperparameters, hyperparameters
-from imujoco_minari.training.run import Task
+from imujoco_minari.training.task import Task
 from imujoco_minari.variants import Variant
 from imujoco_minari.verification import verify
 
