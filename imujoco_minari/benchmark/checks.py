@@ -20,7 +20,7 @@ def changes(lines: Iterable[Line]) -> list[str]:
     """
     _digest.cache_clear()
     counts = Counter(change for line in lines for change in set(_changes(line)))
-    return [f"{change}: {count} lines" for change, count in sorted(counts.items())]
+    return [f"{change} (lines: {count})" for change, count in sorted(counts.items())]
 
 
 def _changes(line: Line) -> Iterator[str]:

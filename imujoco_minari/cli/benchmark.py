@@ -106,7 +106,7 @@ def few_shot(
         variants,
     )
     cells = grid.cells()
-    say(f"{counted(cells, 'cell')}: {time_text(grid.seconds() / jobs)} with {counted(jobs, 'process')}")
+    say(f"{counted(cells, 'cell')}: about {time_text(grid.seconds() / jobs)} with --jobs {jobs}")
     if not estimate:
         _publish(grid.dataset_ids(), jobs, quiet=as_json)
         with _cells("computing", cells, as_json) as on_cells:
@@ -151,7 +151,7 @@ def offline(
         updates or UPDATES,
     )
     cells = grid.cells()
-    say(f"{counted(cells, 'cell')}: {time_text(grid.seconds() / jobs)} with {counted(jobs, 'process')}")
+    say(f"{counted(cells, 'cell')}: about {time_text(grid.seconds() / jobs)} with --jobs {jobs}")
     if not estimate:
         _publish(grid.dataset_ids(), jobs, quiet=as_json)
         with _cells("training", cells, as_json) as on_cells:

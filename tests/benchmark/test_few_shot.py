@@ -96,10 +96,10 @@ def test_a_changed_dataset_or_setting_no_longer_matches(tmp_path: Path) -> None:
     lines = run_few_shot(tiny_grid("random", "expert"), tmp_path)
     assert changes(lines) == []
     assert changes([{**lines[0], "settings": {"rate": 0.5}}]) == [
-        "the settings of random have changed: 1 lines"
+        "the settings of random have changed (lines: 1)"
     ]
     publish("hopper-frictiondec_50_feet", tier="random", episodes=4, seed=7, force=True)
-    assert changes(lines) == ["imujoco/hopper-frictiondec_50_feet-random-v0 has changed: 2 lines"]
+    assert changes(lines) == ["imujoco/hopper-frictiondec_50_feet-random-v0 has changed (lines: 2)"]
     advanced: list[int] = []
     run_few_shot(tiny_grid("random", "expert"), tmp_path, on_cells=advanced.append)
     assert advanced == [0, 1, 1]
@@ -110,7 +110,7 @@ def test_a_changed_dataset_or_setting_no_longer_matches(tmp_path: Path) -> None:
 def test_lines_whose_datasets_are_missing_are_not_compared(root: Path, tmp_path: Path) -> None:
     lines = run_few_shot(tiny_grid("random"), tmp_path)
     root.rename(tmp_path / "elsewhere")
-    assert changes(lines) == ["not compared, because their datasets are not in the Minari root: 1 lines"]
+    assert changes(lines) == ["not compared, because their datasets are not in the Minari root (lines: 1)"]
 
 
 class Still:
