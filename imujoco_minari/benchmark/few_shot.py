@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -38,7 +38,7 @@ FILE = "few-shot.jsonl"
 # The attributes that name a cell. A line adds settings, digests and versions.
 CELL = ("protocol", "method", "split", "tier", "variant", "budget", "seed")
 
-# Measured on one core, with nothing else running.
+# Measured on one busy core.
 SECONDS_PER_CELL = {"set-encoder": 0.6} | dict.fromkeys(BOUNDS, 1.0)
 SECONDS_PER_ADAPTED_CELL = 4.0
 SECONDS_PER_FIT = {"multi-variant": 40.0, "told": 40.0, "maml": 65.0, "set-encoder": 30.0}
@@ -152,17 +152,18 @@ def run_few_shot(
     for task in wanted:
         lines = tuple(line for line in task.lines if identity(line) not in known)
         if lines:
-            missing.append(_Task(task.new, task.seed, task.train, task.dataset_id, lines))
+            missing.append(replace(task, lines=lines))
     # Methods are fitted shortly before they are used, so that a killed run loses little.
-    for _, chunk in groupby(
-        missing, key=lambda task: [task.lines[0][key] for key in ("split", "tier", "seed")]
-    ):
-        tasks = list(chunk)
-        for line in _run_chunk(tasks, jobs):
+    for _, chunk in groupby(missing, key=_chunk_of):
+        for line in _run_chunk(list(chunk), jobs):
             append_line(path, line)
             done.append(line)
             on_cells(1)
     return done
+
+
+def _chunk_of(task: _Task) -> list[Any]:
+    return [task.lines[0][key] for key in ("split", "tier", "seed")]
 
 
 def _run_chunk(tasks: Sequence[_Task], jobs: int) -> Iterator[Line]:
@@ -205,7 +206,7 @@ def _tasks(grid: FewShotGrid) -> Iterator[_Task]:
                         "seed": seed,
                         "train_sha256": data_sha256(train) if learns else "",
                     }
-                    budgets = grid.budgets[:1] if name in BOUNDS else grid.budgets
+                    budgets = protocol.BUDGETS[:1] if name in BOUNDS else grid.budgets
                     for variant in map(Variant.parse, grid.held_out(split)):
                         dataset_id = variant.dataset_id(tier)
                         own = {
@@ -230,7 +231,7 @@ def _run_task(work: tuple[Method, _Task]) -> list[Line]:
     method, task = work
     variant = Variant.parse(task.lines[0]["variant"])
     data = arrays(task.dataset_id, dtype=np.float32)
-    evaluated: dict[Any, list[float]] = {}
+    evaluated: dict[str | None, list[float]] = {}
     lines: list[Line] = []
     for line in task.lines:
         demonstrations, query = draw_demonstrations(data, Budget.parse(line["budget"]), task.seed)
@@ -240,10 +241,11 @@ def _run_task(work: tuple[Method, _Task]) -> list[Line]:
         found = {}
         for steps, policy in (adapted if isinstance(adapted, Mapping) else {0: adapted}).items():
             # Several budgets share the policy after 0 steps.
-            key = getattr(policy, "sha256", None) or id(policy)
-            if key not in evaluated:
-                evaluated[key] = episode_returns(policy, variant, line["episodes"])
-            found[str(steps)] = {"returns": evaluated[key], "error": relative_error(policy, query)}
+            digest = getattr(policy, "sha256", None)
+            returns = evaluated.get(digest) or episode_returns(policy, variant, line["episodes"])
+            if digest is not None:
+                evaluated[digest] = returns
+            found[str(steps)] = {"returns": returns, "error": relative_error(policy, query)}
         seconds = [round(adapting, 2), round(time.process_time() - start - adapting, 2)]
         lines.append({**line, "references": references(variant), "results": found, "seconds": seconds})
     return lines

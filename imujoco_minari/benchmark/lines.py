@@ -7,14 +7,15 @@ dataset, a policy, a setting or a version changes, the old line no longer matche
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from imujoco_minari.errors import BenchmarkError, PolicyNotFoundError, StorageError
+from imujoco_minari.errors import BenchmarkError, JobError, PolicyNotFoundError, StorageError
+from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies import expert_actor
 from imujoco_minari.policies.references import reference_scores
 from imujoco_minari.storage import minari_root
@@ -71,6 +72,40 @@ def append_line(path: Path, line: Line) -> None:
 def identity(line: Line) -> str:
     """Return the identity of a line as text: all of it but what was measured."""
     return json.dumps({key: line[key] for key in sorted(line) if key not in _MEASURED})
+
+
+def run_lines(
+    path: Path,
+    measure: Callable[[Line], Line],
+    wanted: Sequence[Line],
+    *,
+    jobs: int,
+    on_cells: Callable[[int], None],
+) -> list[Line]:
+    """Compute the lines that a results file lacks, and return all that are wanted.
+
+    Args:
+        path: the results file. Each line is written as soon as it is known.
+        measure: picklable; returns a line with what was measured.
+        wanted: lines without what is measured.
+        jobs: number of processes.
+        on_cells: called with the number of lines that have become known.
+
+    Raises:
+        BenchmarkError: if a process was lost.
+        StorageError: if a line cannot be written.
+    """
+    known = {identity(line): line for line in read_lines(path)}
+    done = [known[identity(line)] for line in wanted if identity(line) in known]
+    missing = [line for line in wanted if identity(line) not in known]
+    on_cells(len(done))
+    for number, line in run_jobs(measure, missing, jobs=jobs):
+        if isinstance(line, JobError):
+            raise BenchmarkError(f"{missing[number]['method']}, seed {missing[number]['seed']}: {line}")
+        append_line(path, line)
+        done.append(line)
+        on_cells(1)
+    return done
 
 
 def latest(lines: Iterable[Line], keys: tuple[str, ...]) -> list[Line]:

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from imujoco_minari.benchmark.cloning import robust_statistics
-from imujoco_minari.benchmark.lines import Line, append_line, data_sha256, identity, read_lines, versions
+from imujoco_minari.benchmark.lines import Line, data_sha256, run_lines, versions
 from imujoco_minari.benchmark.maml import variant_blocks
 from imujoco_minari.benchmark.networks import (
     Array,
@@ -32,9 +32,7 @@ from imujoco_minari.benchmark.networks import (
     new_network,
     padded,
 )
-from imujoco_minari.errors import BenchmarkError, JobError
 from imujoco_minari.loading import arrays
-from imujoco_minari.parallel import run_jobs
 from imujoco_minari.training.agents import import_jax
 from imujoco_minari.variants import catalogue
 
@@ -109,7 +107,6 @@ def run_reproduction(
         BenchmarkError: if a process was lost.
     """
     train, test = published_split()
-    known = {identity(line): line for line in read_lines(results / FILE)}
     common = {
         "protocol": NAME,
         "settings": asdict(choices),
@@ -118,16 +115,7 @@ def run_reproduction(
         "versions": versions(),
     }
     wanted: list[Line] = [{**common, "method": method, "seed": seed} for seed in seeds for method in METHODS]
-    done = [known[identity(line)] for line in wanted if identity(line) in known]
-    on_cells(len(done))
-    missing = [line for line in wanted if identity(line) not in known]
-    for number, line in run_jobs(_run_line, missing, jobs=jobs):
-        if isinstance(line, JobError):
-            raise BenchmarkError(f"{missing[number]['method']}: {line}")
-        append_line(results / FILE, line)
-        done.append(line)
-        on_cells(1)
-    return done
+    return run_lines(results / FILE, _run_line, wanted, jobs=jobs, on_cells=on_cells)
 
 
 class Comparison(NamedTuple):

@@ -155,3 +155,23 @@ def test_a_damaged_line_is_named(tmp_path: Path) -> None:
     path.write_text(path.read_text("utf-8") + json.dumps([1]) + "\n", "utf-8")
     with pytest.raises(BenchmarkError, match="line 2: not a result"):
         read_lines(path)
+
+
+class Faster:
+    """A method whose policies after each number of steps are functions that differ."""
+
+    def __init__(self, seed: int) -> None:
+        self.seed = seed
+
+    def adapt(self, demonstrations: Arrays) -> Mapping[int, Any]:
+        return {steps: partial(self.push, steps / 10) for steps in range(6)}
+
+    def push(self, force: float, observation: Any) -> Any:
+        return np.full(3, force)
+
+
+@pytest.mark.usefixtures("small_datasets")
+def test_policies_without_a_digest_are_never_taken_for_each_other(tmp_path: Path) -> None:
+    grid = FewShotGrid({"faster": Faster}, [SPLIT], ["random"], [Budget(1, 5), Budget(2)], [0], episodes=2)
+    for line in run_few_shot(grid, tmp_path):
+        assert len({str(result["returns"]) for result in line["results"].values()}) == 6
