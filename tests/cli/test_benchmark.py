@@ -1,0 +1,68 @@
+"""``imujoco benchmark``: a cell by its commands, from the computation to the page."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from actor_datasets import publish_actors
+
+from imujoco_minari.cli.app import run
+from imujoco_minari.publishing.publisher import publish
+
+CELL = ["-m", "random", "--held-out", "hopper-frictiondec_50_feet", "--seeds", "1"]
+
+
+def test_a_cell_becomes_a_line_a_table_and_a_page(
+    capsys: pytest.CaptureFixture[str], root: Path, tmp_path: Path
+) -> None:
+    publish_actors(["imujoco/hopper-frictiondec_50_feet-v0"], root)
+    results, page = str(tmp_path / "results"), str(tmp_path / "page")
+    assert run(["benchmark", "few-shot", *CELL, "--output", results, "--json"]) == 0
+    computed = json.loads(capsys.readouterr().out)
+    assert {score["method"] for score in computed} == {"random"}
+    assert run(["benchmark", "table", results, "--output", str(tmp_path / "scores.csv"), "--json"]) == 0
+    table = capsys.readouterr()
+    assert json.loads(table.out) == computed
+    assert "changed" not in table.err
+    assert len((tmp_path / "scores.csv").read_text("utf-8").splitlines()) == 1 + len(computed)
+    assert run(["benchmark", "page", results, "--output", page]) == 0
+    assert "| random | 0 | 0.00 |" in (tmp_path / "page" / "results.md").read_text("utf-8")
+    publish("hopper-frictiondec_50_feet", tier="expert", episodes=2, force=True)
+    capsys.readouterr()
+    assert run(["benchmark", "table", results]) == 0
+    assert "imujoco/hopper-frictiondec_50_feet-v0 has changed (lines: 1)" in capsys.readouterr().err
+
+
+def test_an_estimate_computes_nothing(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert run(["benchmark", "few-shot", "--estimate", "--output", str(tmp_path / "results")]) == 0
+    assert "14140 cells" in capsys.readouterr().err
+    assert run(["benchmark", "offline", "--estimate"]) == 0
+    assert "108 cells" in capsys.readouterr().err
+    assert not (tmp_path / "results").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["few-shot", "-m", "best"], "no method 'best'"),
+        (["few-shot", "--held-out", "hopper-base"], "hopper-base is held out in none of"),
+        (["few-shot", "-m", "scratch", "--set", "speed=2"], "no setting 'speed=2'; valid: rate"),
+        (["few-shot", "-m", "scratch", "--set", "rate=fast"], "'rate=fast' is not a number"),
+        (["offline", "--base", "ant"], "no robot 'ant' here; valid: hopper"),
+        (["table", "nowhere"], "nowhere has no results"),
+    ],
+)
+def test_a_mistake_gets_one_line(
+    capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
+) -> None:
+    assert run(["benchmark", *arguments]) == 1
+    assert message in capsys.readouterr().err
+
+
+def test_settings_are_chosen_on_training_variants(capsys: pytest.CaptureFixture[str]) -> None:
+    split = ["--split", "hopper-random-v1", "--validation", "--estimate"]
+    assert run(["benchmark", "few-shot", "-m", "scratch", "--seeds", "1", "--set", "rate=0.01", *split]) == 0
+    # 30 training variants, of which every fifth is held out, and 5 budgets.
+    assert "30 cells" in capsys.readouterr().err
