@@ -188,6 +188,35 @@ def test_an_experts_record_is_told_and_sorted_by(
     assert f"imujoco publish {LEG} --tier" not in text
 
 
+def test_cards_state_scores_normalised_by_the_base(
+    tmp_path: Path, drawn: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def record(variant: Variant) -> dict[str, Any]:
+        expert = {LEG: 500.0, LEG.base: 2020.0}.get(variant)
+        rest = {"return_std": 1.0, "length_mean": 50.0, "episodes": 100}
+        evaluation = {} if expert is None else {"evaluation": {"return_mean": expert, **rest}}
+        return {"algorithm": "SAC", "random": {"return_mean": 20.0, **rest}, **evaluation}
+
+    monkeypatch.setattr(entries, "expert_record", record)
+    build(tmp_path / "site", [LEG, FOOT])
+    page = Page(tmp_path / "site" / "index.html")
+    cards = {card["data-words"].split()[0]: card for card in page.all("li") if "data-words" in card}
+    # (500 - 20) / (2020 - 20), and the random policy of the variant without an expert.
+    expected = {"hopper-base": "1", str(LEG): "0.24", str(FOOT): "0"}
+    assert {name: card["data-normalised"] for name, card in cards.items()} == expected
+    assert "2 of 2 variants, 1 of 1 bases" in page.text
+    assert "0.24" in Page(tmp_path / "site" / "variants" / f"{LEG}.html").text
+
+
+def test_a_page_has_its_neighbours_above_and_below(tmp_path: Path, drawn: list[str]) -> None:
+    build(tmp_path / "site", [LEG, FOOT])
+    page = Page(tmp_path / "site" / "variants" / f"{LEG}.html")
+    links = [(link["rel"], link["href"]) for link in page.all("a") if "rel" in link]
+    assert links == [("prev", "hopper-base.html"), ("next", f"{FOOT}.html")] * 2
+    heading = (tmp_path / "site" / "variants" / f"{LEG}.html").read_text("utf-8")
+    assert "hopper-<wbr>massdec_<wbr>25_<wbr>leggeom</h1>" in heading
+
+
 def test_datasets_that_are_published_here_are_told(tmp_path: Path, drawn: list[str]) -> None:
     published = publish(LEG, tier="random", episodes=3)
     publish(FOOT, tier="random", episodes=2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from importlib.machinery import SourceFileLoader
@@ -12,6 +13,7 @@ from types import ModuleType
 import pytest
 
 from imujoco_minari.policies.experts import shipped_folder
+from imujoco_minari.policies.tiers import medium_rung
 from imujoco_minari.variants import catalogue
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "generate-docs"
@@ -45,6 +47,18 @@ def test_every_shipped_expert_has_its_row(generator: ModuleType) -> None:
 def test_every_variant_has_its_row(generator: ModuleType) -> None:
     rows = [line for line in generator.variants_page().splitlines() if line.startswith("| `")]
     assert [row.split("`")[1] for row in rows] == [str(variant) for variant in catalogue()]
+
+
+def test_the_references_of_the_bases_are_those_of_their_records(generator: ModuleType) -> None:
+    page = (generator.DOCS / "from-d4rl.md").read_text("utf-8")
+    for base in ("hopper-base", "halfcheetah-base", "walker2d-base"):
+        record = json.loads((shipped_folder() / f"{base}.json").read_text("utf-8"))
+        expert, random = record["evaluation"], record["random"]
+        medium = medium_rung(record["ladder"], expert["return_mean"])["evaluation"]
+        measured = (
+            f"{each['return_mean']:.1f} ± {each['return_std']:.1f}" for each in (random, medium, expert)
+        )
+        assert f"| `{base}` | {' | '.join(measured)} | " in page
 
 
 def test_a_stale_page_is_named(tmp_path: Path) -> None:
