@@ -86,7 +86,9 @@ def normalised(score: Score, base: Entry | None) -> float | None:
 
     A variant's own expert would always be 1. None if the base robot has no expert.
     """
-    expert, random = (base and base.score(tier) for tier in (EXPERT, RANDOM))
+    if base is None:
+        return None
+    expert, random = base.score(EXPERT), base.score(RANDOM)
     if expert is None or random is None:
         return None
     return (score.return_mean - random.return_mean) / (expert.return_mean - random.return_mean)
