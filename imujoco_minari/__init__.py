@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from imujoco_minari.policies.evaluation import evaluate
     from imujoco_minari.policies.references import normalized_score
     from imujoco_minari.publishing.combiner import combine_datasets
+    from imujoco_minari.publishing.on_demand import load_dataset
     from imujoco_minari.publishing.publisher import publish
     from imujoco_minari.variants.off_dynamics import off_dynamics
     from imujoco_minari.variants.splits import held_out
@@ -42,6 +43,7 @@ __all__ = [
     "few_shot",
     "held_out",
     "load_catalogue",
+    "load_dataset",
     "load_policy",
     "make",
     "normalized_score",
@@ -61,6 +63,7 @@ _LAZY = {
     "export": "exporting",
     "few_shot": "loading",
     "held_out": "variants.splits",
+    "load_dataset": "publishing.on_demand",
     "load_policy": "policies",
     "normalized_score": "policies.references",
     "off_dynamics": "variants.off_dynamics",

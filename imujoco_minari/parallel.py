@@ -19,6 +19,7 @@ from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
+from imujoco_minari.arguments import whole_number
 from imujoco_minari.errors import JobError, missing_dependency
 
 Argument = TypeVar("Argument")
@@ -58,7 +59,9 @@ def run_jobs(
     Raises:
         DependencyError: when Ray is not installed.
         JobError: when the back end is unknown, or no Ray cluster is running.
+        ArgumentError: when ``jobs`` is not a whole number above 0.
     """
+    whole_number(jobs, "jobs", least=1)
     if backend not in (None, *BACKENDS):
         raise JobError(f"no back end {backend!r}; valid: {', '.join(BACKENDS)}")
     if backend == "ray":

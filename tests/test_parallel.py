@@ -16,7 +16,7 @@ from processes import alive, running
 
 from imujoco_minari.errors import DatasetError, DependencyError, JobError
 from imujoco_minari.parallel import ATTEMPTS, run_jobs
-from imujoco_minari.publishing.publisher import publish, publish_all
+from imujoco_minari.publishing.publisher import publish, publish_all, publish_recipe
 from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.variants import Variant
@@ -158,8 +158,8 @@ def test_ray_that_is_not_installed_is_named_with_its_extra(monkeypatch):
 
 def test_the_content_does_not_depend_on_how_many_jobs(root):
     variant = Variant.parse("hopper-base")
-    alone = publish(Recipe(variant, "random", 9, 4))
-    shared = publish(Recipe(variant, "random", 9, 4), jobs=2, force=True)
+    alone = publish_recipe(Recipe(variant, "random", 9, 4))
+    shared = publish_recipe(Recipe(variant, "random", 9, 4), jobs=2, force=True)
     assert shared.created
     assert shared.content_sha256 == alone.content_sha256
     assert shared.steps == alone.steps

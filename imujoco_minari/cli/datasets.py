@@ -98,7 +98,7 @@ def _published(
     recipes: list[Recipe], jobs: int, backend: str | None, force: bool, *, quiet: bool
 ) -> Iterator[Published]:
     """Publish each recipe and yield what became of it, behind a bar of datasets, or of one's episodes."""
-    from imujoco_minari.publishing.publisher import Published, publish, publish_all
+    from imujoco_minari.publishing.publisher import Published, publish_all, publish_recipe
 
     if len(recipes) > 1 or backend is not None:
         outcomes = publish_all(recipes, jobs=jobs, force=force, backend=backend)
@@ -107,7 +107,7 @@ def _published(
     total = None if recipes[0].tier == MEDIUM_REPLAY else recipes[0].episodes
     with progress(str(recipes[0].variant), total, quiet=quiet) as advance:
         try:
-            outcome = publish(recipes[0], jobs=jobs, force=force, on_episode=advance)
+            outcome = publish_recipe(recipes[0], jobs=jobs, force=force, on_episode=advance)
         except ImujocoError as error:
             missing = error.missing
             outcome = Published(recipes[0].dataset_id, error=str(error), missing=missing)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from imujoco_minari.envs.registration import environment_spec, randomised_spec
 from imujoco_minari.policies import LANES, Policy
-from imujoco_minari.policies.adapters import batch_act
+from imujoco_minari.policies.adapters import batch_act, checked
 from imujoco_minari.policies.rollouts import episode_seed, roll_out_together
 from imujoco_minari.storage.quiet_file import safe_point
 from imujoco_minari.storage.writer import EpisodeStorage, new_storage
@@ -150,9 +150,10 @@ def collect(
     envs = [gym.make(spec) for _ in range(min(LANES, len(seeds)))]
     ordered = OrderedStorage(new_storage(target, envs[0], {}), attributes)
     collectors = [StorageCollector(env, ordered) for env in envs]
+    act = checked(batch_act(policy), envs[0].action_space.shape or ())
     try:
         for _ in roll_out_together(
-            collectors, batch_act(policy), seeds, lambda lane, episode: collectors[lane].begin(episode)
+            collectors, act, seeds, lambda lane, episode: collectors[lane].begin(episode)
         ):
             on_episode()
     finally:

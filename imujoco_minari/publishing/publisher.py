@@ -18,6 +18,7 @@ import h5py
 from gymnasium.envs.registration import EnvSpec
 from minari.data_collector import EpisodeBuffer
 
+from imujoco_minari.arguments import whole_number
 from imujoco_minari.envs.mjcf import canonical_mjcf, mjcf_sha256
 from imujoco_minari.errors import (
     DatasetError,
@@ -27,6 +28,7 @@ from imujoco_minari.errors import (
     clipped,
 )
 from imujoco_minari.parallel import run_jobs
+from imujoco_minari.policies import Policy
 from imujoco_minari.policies.references import reference_scores
 from imujoco_minari.policies.tiers import MEDIUM_REPLAY
 from imujoco_minari.publishing.recipes import Recipe, algorithms, description
@@ -71,31 +73,26 @@ class Published:
 
 
 def publish(
-    variant: Variant | str | Ranges | Recipe,
+    variant: Variant | str | Ranges,
     *,
     tier: str = EXPERT,
     episodes: int = 100,
     seed: int = 0,
-    policy: Path | str | None = None,
-    stochastic: bool = False,
+    policy: Path | str | Policy | None = None,
     jobs: int = 1,
     force: bool = False,
-    on_episode: OnEpisode = lambda: None,
 ) -> Published:
     """Publish one variant's dataset in the Minari root.
 
     Args:
         variant: a variant or its id; or :class:`~imujoco_minari.variants.ranges.Ranges`, from which each
-            episode draws a variant; or a :class:`~imujoco_minari.publishing.recipes.Recipe`, which
-            replaces the next five arguments.
+            episode draws a variant.
         tier: the tier, which names the policy and is part of the dataset's id.
         episodes: number of episodes.
         seed: base seed of all random numbers.
-        policy: a policy file to use instead of the shipped policy.
-        stochastic: sample the actions instead of taking the policy's mode.
+        policy: a file, or a policy of :func:`load_policy`, to use instead of the tier's.
         jobs: number of processes. The content does not depend on it.
         force: replace the dataset that has the id. The old dataset is removed when the new one is complete.
-        on_episode: called after each episode, with several jobs for all episodes of a share at once.
 
     Returns:
         The outcome. ``created`` is false if the root has the dataset of the same recipe already.
@@ -103,8 +100,11 @@ def publish(
     Raises:
         DatasetExistsError: if the root has another dataset with this id and ``force`` is false.
         PolicyNotFoundError: if there is no policy for the variant and the tier.
+        PolicyError: if the policy does not fit, or does not state what a dataset states of its policy.
         StorageError: if the root cannot be written.
         DatasetError: if the check of the new dataset fails.
+        VariantError: if there is no such variant, or the tier is malformed.
+        ArgumentError: if another argument is not valid.
         TrainingError: if the run of the tier ``medium-replay`` does not reach its return.
 
     Example:
@@ -112,22 +112,41 @@ def publish(
         >>> published.dataset_id
         'imujoco/hopper-massdec_25_leggeom-random-v0'
     """
-    recipe = variant
-    if not isinstance(recipe, Recipe):
-        parsed = Variant.parse(recipe) if isinstance(recipe, str) else recipe
-        path = None if policy is None else Path(policy)
-        recipe = Recipe(parsed, tier, episodes, seed, path, stochastic)
+    parsed = variant if isinstance(variant, Variant | Ranges) else Variant.parse(variant)
+    made_by = Path(policy) if isinstance(policy, str) else policy
+    return publish_recipe(Recipe(parsed, tier, episodes, seed, made_by), jobs=jobs, force=force)
+
+
+def publish_recipe(
+    recipe: Recipe, *, jobs: int = 1, force: bool = False, on_episode: OnEpisode = lambda: None
+) -> Published:
+    """Publish the dataset of a recipe in the Minari root.
+
+    Args:
+        recipe: everything that decides the content.
+        jobs: number of processes.
+        force: replace the dataset that has the id.
+        on_episode: called after each episode, with several jobs for all episodes of a share at once.
+
+    Returns:
+        As :func:`publish`.
+
+    Raises:
+        ImujocoError: what :func:`publish` raises.
+    """
+    whole_number(jobs, "jobs", least=1)
     if recipe.tier == MEDIUM_REPLAY:
         # That module imports this one.
         from imujoco_minari.publishing.training_data import record_medium_replay
 
         return record_medium_replay(recipe, force=force, on_episode=on_episode)
-    if found := find_published(recipe.dataset_id, recipe.stated(), force=force):
+    made_by = recipe.parts()
+    stated = recipe.stated(made_by)
+    if found := find_published(recipe.dataset_id, stated, force=force):
         return found
     start = time.monotonic()
-    made_by = recipe.parts()
     references = {} if isinstance(recipe.variant, Ranges) else reference_scores(recipe.variant)
-    metadata = references | recipe.stated() | {"tier": recipe.tier}
+    metadata = references | stated | {"tier": recipe.tier}
     metadata |= provenance(
         algorithm=algorithms([part.policy for part in made_by]), description=description(recipe, made_by)
     )
@@ -281,7 +300,7 @@ def publish_all(
 
 def _publish_or_report(recipe: Recipe, force: bool) -> Published:
     try:
-        return publish(recipe, force=force)
+        return publish_recipe(recipe, force=force)
     except ImujocoError as error:
         return Published(recipe.dataset_id, error=str(error), missing=error.missing)
 

@@ -7,11 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from imujoco_minari.errors import DatasetError
+from imujoco_minari.arguments import whole_number
+from imujoco_minari.errors import DatasetError, PolicyError, VariantError
 from imujoco_minari.policies import Policy
 from imujoco_minari.policies.tiers import MEDIUM_REPLAY, TierPart, parts
 from imujoco_minari.storage import file_format
 from imujoco_minari.variants import EXPERT, Ranges, Variant
+
+# What a dataset needs of a policy.
+_STATED = ("act", "algorithm", "sha256", "deterministic")
 
 
 @dataclass(frozen=True)
@@ -24,12 +28,14 @@ class Recipe:
         tier: the tier, which names the policy and is part of the dataset's id.
         episodes: number of episodes.
         seed: base seed of all random numbers.
-        policy: a policy file to use instead of the shipped policy.
-        stochastic: sample the actions instead of taking the policy's mode.
+        policy: a policy, or the file of one, to use instead of the tier's.
+        stochastic: sample the actions of a file's or a tier's policy instead of taking their mode.
 
     Raises:
-        DatasetError: if ``episodes`` is less than 1 or ``seed`` is negative, or the tier ``medium-replay``
-            gets more than a seed.
+        VariantError: if the tier is malformed.
+        PolicyError: if the policy does not fit the robot, or does not state what a dataset states of it.
+        ArgumentError: if another attribute is not valid.
+        DatasetError: if the tier ``medium-replay`` gets more than a seed.
 
     Example:
         >>> Recipe(Variant.parse("hopper-base"), tier="random").dataset_id
@@ -40,14 +46,17 @@ class Recipe:
     tier: str = EXPERT
     episodes: int = 100
     seed: int = 0
-    policy: Path | None = None
+    policy: Path | Policy | None = None
     stochastic: bool = False
 
     def __post_init__(self) -> None:
-        if self.episodes < 1:
-            raise DatasetError(f"a dataset has at least one episode, not {self.episodes}")
-        if self.seed < 0:
-            raise DatasetError(f"a seed must not be negative: {self.seed}")
+        if not isinstance(self.variant, Variant | Ranges):
+            raise VariantError(f"a recipe needs a Variant or Ranges, not {type(self.variant).__name__}")
+        whole_number(self.episodes, "episodes", least=1)
+        whole_number(self.seed, "seed", least=0)
+        _ = self.dataset_id
+        if self.policy is not None and not isinstance(self.policy, Path):
+            _check_policy(self.policy, self.nominal.robot)
         if self.tier == MEDIUM_REPLAY and isinstance(self.variant, Ranges):
             raise DatasetError(f"the tier {MEDIUM_REPLAY} is a training run on one variant, not on ranges")
         if self.tier == MEDIUM_REPLAY and (self.episodes, self.policy, self.stochastic) != (100, None, False):
@@ -80,11 +89,17 @@ class Recipe:
 
     def parts(self) -> list[TierPart]:
         """Return the parts of the dataset, each of one policy, in the order of the episodes."""
-        return parts(self.nominal, self.tier, self.episodes, path=self.policy, stochastic=self.stochastic)
+        if self.policy is None or isinstance(self.policy, Path):
+            return parts(self.nominal, self.tier, self.episodes, path=self.policy, stochastic=self.stochastic)
+        return [TierPart(self.policy, self.episodes)]
 
-    def stated(self) -> dict[str, Any]:
-        """Return the metadata that distinguish a dataset of this recipe from others with the same id."""
-        policies = [part.policy for part in self.parts()]
+    def stated(self, made_by: Sequence[TierPart]) -> dict[str, Any]:
+        """Return the metadata that distinguish a dataset of this recipe from others with the same id.
+
+        Args:
+            made_by: the parts of the dataset.
+        """
+        policies = [part.policy for part in made_by]
         drawn = self.attributes if isinstance(self.variant, Ranges) else {}
         return {
             **{key: drawn[key] for key in file_format.RANGES if key in drawn},
@@ -93,6 +108,23 @@ class Recipe:
             "policy_sha256": ",".join(policy.sha256 for policy in policies),
             "policy_deterministic": all(policy.deterministic for policy in policies),
         }
+
+
+def _check_policy(policy: Any, robot: str) -> None:
+    """Check that a policy states what the metadata of its dataset state, and fits the robot.
+
+    Raises:
+        PolicyError: when it does not.
+    """
+    if isinstance(policy, type) or not all(hasattr(policy, name) for name in _STATED):
+        kind = policy.__name__ if isinstance(policy, type) else type(policy).__name__
+        raise PolicyError(
+            f"a dataset states the algorithm and the digest of its policy, which {kind} does not have: "
+            "give a file (a Stable-Baselines3 .zip, as model.save() writes it, or an actor's .safetensors), "
+            "or a policy of load_policy() or read_actor()"
+        )
+    if hasattr(policy, "check"):
+        policy.check(robot)
 
 
 def algorithms(policies: Sequence[Policy]) -> str:

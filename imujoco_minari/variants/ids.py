@@ -157,8 +157,8 @@ class Variant:
         Raises:
             VariantError: when ``tier`` is no tier name.
         """
-        is_change = any(map(CHANGE_ID.fullmatch, tier.split("-")))
-        if not _TIER.fullmatch(tier) or len(tier) > 40 or is_change:
+        valid = isinstance(tier, str) and len(tier) <= 40 and _TIER.fullmatch(tier)
+        if not valid or any(map(CHANGE_ID.fullmatch, tier.split("-"))):
             raise VariantError(
                 f"malformed tier {clipped(tier)!r}; valid: lower-case words, as in expert, medium, random"
             )

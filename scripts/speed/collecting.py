@@ -23,7 +23,7 @@ from imujoco_minari.policies import Actor
 from imujoco_minari.policies.rollouts import episode_seed
 from imujoco_minari.policies.sb3 import export_zip
 from imujoco_minari.publishing.collector import collect
-from imujoco_minari.publishing.publisher import publish, publish_all
+from imujoco_minari.publishing.publisher import publish_all, publish_recipe
 from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.variants import ROBOTS, Variant, catalogue, specification
@@ -204,7 +204,7 @@ def _start_bare_processes(data: Path, count: int) -> Iterator[Callable[[], None]
 def verification_row(policies: Path | None, rounds: int, episodes: int, cores: int) -> Row:
     """Measure the complete check of a dataset on all cores against bare stepping on all cores."""
     with saved_actor("halfcheetah", policies) as (policy, origin):
-        published = publish(
+        published = publish_recipe(
             Recipe(Variant.parse("halfcheetah-base"), "bench", episodes, policy=policy), force=True
         )
 
@@ -281,7 +281,7 @@ def _measure_publishing_rate(robot: str, policies: Path | None, episodes: int) -
     chosen = everything[:: len(everything) // 4][:4]
     with saved_actor(robot, policies) as (policy, _):
         recipes = [Recipe(variant, "bench", episodes, policy=policy) for variant in chosen]
-        outcomes = [publish(recipe, force=True) for recipe in recipes]
+        outcomes = [publish_recipe(recipe, force=True) for recipe in recipes]
     return sum(outcome.steps for outcome in outcomes) / sum(outcome.seconds for outcome in outcomes)
 
 

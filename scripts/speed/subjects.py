@@ -14,7 +14,7 @@ from safetensors.numpy import save_file
 
 from imujoco_minari.errors import PolicyNotFoundError
 from imujoco_minari.policies import Actor, expert_actor, expert_record, read_actor
-from imujoco_minari.publishing.publisher import publish
+from imujoco_minari.publishing.publisher import publish_recipe
 from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.storage import minari_root
 from imujoco_minari.variants import Variant, bases, catalogue, specification
@@ -76,7 +76,7 @@ def saved_actor(robot: str, folder: Path | None) -> Iterator[tuple[Path, str]]:
 
 def publish_copies(variant: Variant, policy: Path, episodes: int, copies: int) -> list[str]:
     """Publish a dataset and copies of it with other ids. Stock Minari combines only equal environments."""
-    first = publish(Recipe(variant, "bench", episodes, policy=policy)).dataset_id
+    first = publish_recipe(Recipe(variant, "bench", episodes, policy=policy)).dataset_id
     ids = []
     for number in range(copies):
         dataset_id = f"bench/{variant.robot}-{number}-v0"

@@ -20,7 +20,7 @@ from imujoco_minari.cli.estimates import (
     training_line,
 )
 from imujoco_minari.cli.printing import counted
-from imujoco_minari.publishing.publisher import publish
+from imujoco_minari.publishing.publisher import publish_recipe
 from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.variants import Variant, bases, catalogue
 
@@ -33,7 +33,7 @@ LEG = Variant.parse("hopper-massdec_25_leggeom")
 def test_the_size_is_that_of_the_dataset(recipe: Recipe, tolerance: float) -> None:
     planned = plan(recipe)
     assert planned.action == "publish"
-    published = publish(recipe)
+    published = publish_recipe(recipe)
     assert published.path is not None
     size = sum(file.stat().st_size for file in published.path.rglob("*") if file.is_file())
     assert planned.bytes == pytest.approx(size, rel=tolerance)

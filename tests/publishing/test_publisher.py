@@ -19,10 +19,12 @@ from safetensors.numpy import save_file
 
 import imujoco_minari
 from imujoco_minari.envs.mjcf import canonical_mjcf
-from imujoco_minari.errors import DatasetError, DatasetExistsError, PolicyNotFoundError
+from imujoco_minari.errors import DatasetError, DatasetExistsError, PolicyError, PolicyNotFoundError
+from imujoco_minari.policies import RandomPolicy, read_actor
 from imujoco_minari.publishing.publisher import publish, publish_all
 from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.variants import Variant, catalogue
+from imujoco_minari.verification import verify
 
 ID = "imujoco/hopper-massdec_25_leggeom-mine-v0"
 KEYS = {
@@ -155,7 +157,6 @@ def test_what_is_there_is_left_alone(dataset: minari.MinariDataset, actor: Path)
     [
         ({"episodes": 100}, "it has 6 episodes; you asked for 100 episodes"),
         ({"seed": 0}, "it has seed 3; you asked for seed 0"),
-        ({"stochastic": True}, "it has deterministic actions; you asked for sampled actions"),
         ({"episodes": 7, "seed": 4}, "it has 6 episodes, seed 3; you asked for 7 episodes, seed 4"),
     ],
 )
@@ -170,6 +171,50 @@ def test_another_recipe_of_the_same_id_is_an_error_that_names_the_difference(
     assert "--force" in str(raised.value)
     assert "\n" not in str(raised.value)
     assert (file.stat().st_ino, file.stat().st_mtime_ns) == before
+
+
+def test_a_policy_may_be_an_object(dataset: minari.MinariDataset, actor: Path) -> None:
+    recipe = {"tier": "mine", "episodes": 6, "seed": 3}
+    assert not publish("hopper-massdec_25_leggeom", policy=read_actor(actor), **recipe).created
+    digest = dataset.storage.metadata["content_sha256"]
+    again = publish("hopper-massdec_25_leggeom", policy=read_actor(actor), force=True, jobs=2, **recipe)
+    assert again.content_sha256 == digest
+    sampling = read_actor(actor, deterministic=False)
+    with pytest.raises(
+        DatasetExistsError, match="it has deterministic actions; you asked for sampled actions"
+    ):
+        publish("hopper-massdec_25_leggeom", policy=sampling, **recipe)
+
+
+def test_a_policy_of_the_user_is_published_if_it_states_what_it_is() -> None:
+    class Still:
+        algorithm, sha256, deterministic = "still", "0" * 64, True
+
+        def act(self, observation: Any, rng: Any) -> Any:
+            return np.zeros(3, np.float32)
+
+    published = publish("hopper-base", tier="still", policy=Still(), episodes=2)
+    metadata = minari.load_dataset(published.dataset_id).storage.metadata
+    assert (metadata["algorithm_name"], metadata["policy_sha256"]) == ("still", "0" * 64)
+    assert verify(published.dataset_id) == []
+
+
+@pytest.mark.parametrize(
+    ("policy", "message"),
+    [
+        (
+            lambda observation: np.zeros(3),
+            r"which function does not have: give a file .*model\.save",
+        ),
+        (RandomPolicy, "which RandomPolicy does not have"),
+        (RandomPolicy(6), r"actions of shape \(1, 6\)"),
+        (random_actor(17, 6), "it fits halfcheetah and walker2d"),
+    ],
+)
+def test_another_object_says_what_to_give(policy: Any, message: str, root: Path) -> None:
+    with pytest.raises(PolicyError, match=message):
+        publish("hopper-base", tier="mine", policy=policy, episodes=1)
+    assert minari.list_local_datasets() == {}
 
 
 def test_another_policy_of_the_same_id_is_an_error(dataset: minari.MinariDataset, tmp_path: Path) -> None:

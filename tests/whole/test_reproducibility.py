@@ -8,7 +8,7 @@ import pytest
 from actor_datasets import random_weights
 from safetensors.numpy import save_file
 
-from imujoco_minari.publishing.publisher import publish, publish_all
+from imujoco_minari.publishing.publisher import publish_all, publish_recipe
 from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.variants import Variant, specification
 
@@ -25,9 +25,11 @@ def test_jobs_do_not_matter_nor_does_time(policy: Path, stochastic: bool) -> Non
     recipe = Recipe(
         Variant.parse("hopper-massdec_25_leggeom"), "mine", 9, seed=3, policy=policy, stochastic=stochastic
     )
-    digests = [publish(recipe, jobs=jobs, force=True).content_sha256 for jobs in (1, 2, 1, 2)]
+    digests = [publish_recipe(recipe, jobs=jobs, force=True).content_sha256 for jobs in (1, 2, 1, 2)]
     assert len(set(digests)) == 1
-    assert publish(Recipe(recipe.variant, "mine", 9, 4, policy), force=True).content_sha256 != digests[0]
+    assert (
+        publish_recipe(Recipe(recipe.variant, "mine", 9, 4, policy), force=True).content_sha256 != digests[0]
+    )
 
 
 def test_a_batch_makes_what_single_commands_make(policy: Path) -> None:
@@ -36,4 +38,4 @@ def test_a_batch_makes_what_single_commands_make(policy: Path) -> None:
     batch = {outcome.dataset_id: outcome for outcome in publish_all(recipes, jobs=2)}
     assert not any(outcome.error for outcome in batch.values())
     for recipe in recipes:
-        assert publish(recipe, force=True).content_sha256 == batch[recipe.dataset_id].content_sha256
+        assert publish_recipe(recipe, force=True).content_sha256 == batch[recipe.dataset_id].content_sha256

@@ -1,0 +1,116 @@
+"""Loads a dataset, and publishes it first where the Minari root does not hold it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+
+from minari import MinariDataset
+from rich.console import Console
+from rich.progress import Progress
+
+from imujoco_minari.errors import DatasetError, DatasetNotFoundError, VariantError
+from imujoco_minari.policies.tiers import RECORDED
+from imujoco_minari.publishing.combiner import combine_datasets
+from imujoco_minari.publishing.publisher import publish_all, publish_recipe
+from imujoco_minari.publishing.recipes import Recipe
+from imujoco_minari.storage import minari_root
+from imujoco_minari.storage.missing import not_in_root
+from imujoco_minari.variants import parse_dataset_id
+from imujoco_minari.variants.named_collections import NamedCollection
+
+
+def load_dataset(dataset_id: str, *, jobs: int = 1, quiet: bool = False) -> MinariDataset:
+    """Return a dataset of the Minari root. Publish it first if it is missing.
+
+    A missing dataset of a variant is published with 100 episodes of seed 0. For a missing collection, as
+    ``imujoco/hopper-all-v0``, every dataset that is missing is published, and all are combined.
+
+    Args:
+        dataset_id: the id.
+        jobs: number of processes that publish.
+        quiet: do not say on standard error what is published.
+
+    Raises:
+        DatasetIdError: if the id is malformed.
+        DatasetNotFoundError: if the dataset is missing and is not one that this function makes. It trains
+            nothing: the message names the command that records a training run.
+        PolicyNotFoundError: if no policy makes the tier of the variant.
+        DatasetError: if a dataset of a collection cannot be published.
+        StorageError: if the root cannot be used.
+
+    Example:
+        >>> load_dataset("imujoco/hopper-massdec_25_leggeom-v0").total_episodes  # doctest: +SKIP
+        100
+    """
+    folder = minari_root.dataset_folder(dataset_id)
+    if not minari_root.exists(dataset_id):
+        collection = NamedCollection.parse(dataset_id)
+        if collection is None:
+            _publish(_recipe(dataset_id), jobs, quiet)
+        else:
+            _publish_missing(collection, jobs, quiet)
+            combine_datasets(collection.sources, dataset_id)
+    with minari_root.storage_errors():
+        return MinariDataset(folder / "data")
+
+
+def _recipe(dataset_id: str) -> Recipe:
+    """Return the recipe of the dataset of a variant.
+
+    Raises:
+        DatasetNotFoundError: if the id is not one of a dataset that can be published.
+    """
+    try:
+        variant, tier = parse_dataset_id(dataset_id)
+    except VariantError:
+        raise not_in_root(dataset_id) from None
+    if variant.dataset_id(tier) != dataset_id or tier in RECORDED:
+        raise not_in_root(dataset_id)
+    return Recipe(variant, tier)
+
+
+def _publish(recipe: Recipe, jobs: int, quiet: bool) -> None:
+    with _progress(recipe.dataset_id, "episodes", recipe.episodes, quiet) as advance:
+        publish_recipe(recipe, jobs=jobs, on_episode=advance)
+
+
+def _publish_missing(collection: NamedCollection, jobs: int, quiet: bool) -> None:
+    """Publish the datasets of a collection that are not in the root.
+
+    Raises:
+        DatasetError: if one of them fails.
+    """
+    recipes = [
+        Recipe(variant, collection.tier)
+        for variant in collection.variants
+        if not minari_root.exists(variant.dataset_id(collection.tier))
+    ]
+    failures: list[str] = []
+    missing = True
+    with _progress(collection.dataset_id, "datasets", len(recipes), quiet) as advance:
+        for outcome in publish_all(recipes, jobs=jobs):
+            if outcome.error:
+                failures.append(f"{outcome.dataset_id}: {outcome.error}")
+                missing &= outcome.missing
+            advance()
+    if failures:
+        kind = DatasetNotFoundError if missing else DatasetError
+        raise kind(f"{collection.dataset_id} was not made; {_first_of(failures)}")
+
+
+def _first_of(failures: Sequence[str]) -> str:
+    more = f" (and {len(failures) - 1} more datasets failed)" if len(failures) > 1 else ""
+    return failures[0] + more
+
+
+@contextmanager
+def _progress(dataset_id: str, unit: str, total: int, quiet: bool) -> Iterator[Callable[[], None]]:
+    """Say what is published, show a bar on a terminal, and yield the function that advances it by one."""
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    if not quiet:
+        line = f"{dataset_id} is not in the Minari root: publishing {total} {unit}"
+        console.print(line, markup=False)
+    with Progress(console=console, disable=quiet or not console.is_terminal) as bar:
+        task = bar.add_task(unit, total=total)
+        yield lambda: bar.advance(task)
