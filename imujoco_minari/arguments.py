@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from operator import index
+from pathlib import Path
 from typing import Any
 
 from imujoco_minari.errors import ArgumentError, DatasetError, clipped
@@ -27,6 +28,18 @@ def whole_number(value: Any, name: str, *, least: int) -> int:
     if number < least or isinstance(value, bool):
         raise ArgumentError(f"{name} must be a whole number of at least {least}, not {clipped(repr(value))}")
     return number
+
+
+def as_path(value: Any) -> Path:
+    """Return a path.
+
+    Raises:
+        ArgumentError: when ``value`` is neither text nor a path.
+    """
+    try:
+        return Path(value)
+    except TypeError:
+        raise ArgumentError(f"a path is text or a pathlib.Path, not {clipped(repr(value))}") from None
 
 
 def check_one_robot(datasets: Iterable[tuple[str, str]], purpose: str) -> None:

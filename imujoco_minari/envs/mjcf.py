@@ -29,13 +29,17 @@ Floats = NDArray[np.float64]
 
 
 @lru_cache(maxsize=256)
-def canonical_mjcf(variant: Variant) -> str:
-    """Return the canonical MJCF text of ``variant``. Compiling it gives the edited model to the last bit.
+def canonical_mjcf(variant: Variant | str) -> str:
+    """Return the canonical MJCF text of a variant. Compiling it gives the edited model to the last bit.
+
+    Args:
+        variant: a variant or its id.
 
     Raises:
+        VariantError: when ``variant`` is not a variant id.
         ModelError: when MuJoCo cannot compile the edited model.
     """
-    return str(_edited(variant).spec.to_xml())
+    return str(_edited(Variant.parse(variant)).spec.to_xml())
 
 
 def variant_model(variant: Variant) -> mujoco.MjModel:

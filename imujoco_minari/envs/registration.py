@@ -50,7 +50,7 @@ def environment_spec(variant: Variant | str, mjcf: str | None = None) -> EnvSpec
         VariantError: when ``variant`` is not a variant id, a variant of the archive has no text, or another
             variant has one.
     """
-    if isinstance(variant, str):
+    if not isinstance(variant, Variant):
         variant = (Variant if mjcf is None else OriginalVariant).parse(variant)
     if isinstance(variant, OriginalVariant) and mjcf is None:
         raise VariantError(f"{variant} is a variant of the original archive and needs the text of its model")

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.lib.format import open_memmap
 from numpy.typing import NDArray
 
-from imujoco_minari.errors import ArgumentError, DatasetError
+from imujoco_minari.arguments import as_path
+from imujoco_minari.errors import ArgumentError, DatasetError, clipped
 from imujoco_minari.loading import selection
 from imujoco_minari.loading.selection import Origin
 from imujoco_minari.loading.statistics import Statistics
@@ -145,8 +146,11 @@ class Arrays:
 
         Raises:
             DatasetError: when ``episodes`` is empty, or has a number that no episode has.
+            ArgumentError: when ``episodes`` is not a list of whole numbers.
         """
-        numbers = np.asarray(episodes, dtype=np.int64)
+        numbers = np.asarray(episodes)
+        if numbers.ndim != 1 or not (numbers.dtype.kind in "iu" or not len(numbers)):
+            raise ArgumentError(f"episodes must be a list of whole numbers, not {clipped(repr(episodes))}")
         if not len(numbers) or numbers.min() < 0 or numbers.max() >= self.episodes:
             raise DatasetError(f"select at least one episode; valid: 0 to {self.episodes - 1}")
         lengths = self.episode_lengths[numbers]
@@ -173,7 +177,7 @@ class Arrays:
             DatasetExistsError: when ``path`` exists, unless ``force`` is set and it is an export of ours.
             StorageError: when the folder cannot be written.
         """
-        path = Path(path)
+        path = as_path(path)
         description = {
             "table": [asdict(origin) for origin in self.table],
             "statistics": self.statistics and self.statistics.tolist(),
@@ -196,7 +200,7 @@ class Arrays:
         Raises:
             DatasetError: when ``path`` is not such a folder, or is damaged.
         """
-        path = Path(path)
+        path = as_path(path)
         try:
             description = json.loads((path / _DESCRIPTION).read_text("utf-8"))
             table = tuple(Origin(**origin) for origin in description["table"])

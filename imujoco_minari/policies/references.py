@@ -70,20 +70,16 @@ def normalized_score(variant: Variant | str | Sequence[Variant | str], returns: 
     if values.dtype.kind not in "fiu":
         raise ArgumentError(f"returns must be numbers, not {clipped(repr(returns))}")
     if isinstance(variant, Variant | str):
-        low, high = _references(_parsed(variant))
+        low, high = _references(Variant.parse(variant))
         return np.asarray((values - low) / (high - low))
     if not isinstance(variant, Sequence) or values.shape != (len(variant),):
         raise ArgumentError(
             "give a variant, or a sequence with one variant for each return; "
             f"the returns have the shape {values.shape}"
         )
-    known = {each: _references(_parsed(each)) for each in dict.fromkeys(variant)}
+    known = {each: _references(Variant.parse(each)) for each in dict.fromkeys(variant)}
     lows, highs = np.array([known[each] for each in variant]).reshape(-1, 2).T
     return np.asarray((values - lows) / (highs - lows))
-
-
-def _parsed(variant: Variant | str) -> Variant:
-    return variant if isinstance(variant, Variant) else Variant.parse(variant)
 
 
 def _references(variant: Variant) -> tuple[float, float]:

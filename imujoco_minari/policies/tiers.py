@@ -75,8 +75,7 @@ def load_policy(
         >>> load_policy("hopper-base")
         Actor(CrossQ, layers 11-256-256-3, ReLU, deterministic)
     """
-    if not isinstance(variant, Variant):
-        variant = Variant.parse(variant)
+    variant = Variant.parse(variant)
     makers = _makers(variant, tier, path, stochastic)
     if len(makers) > 1:
         raise PolicyNotFoundError(

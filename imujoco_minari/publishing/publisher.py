@@ -21,6 +21,7 @@ from minari.data_collector import EpisodeBuffer
 from imujoco_minari.arguments import whole_number
 from imujoco_minari.envs.mjcf import canonical_mjcf, mjcf_sha256
 from imujoco_minari.errors import (
+    ArgumentError,
     DatasetError,
     DatasetExistsError,
     ImujocoError,
@@ -112,7 +113,7 @@ def publish(
         >>> published.dataset_id
         'imujoco/hopper-massdec_25_leggeom-random-v0'
     """
-    parsed = variant if isinstance(variant, Variant | Ranges) else Variant.parse(variant)
+    parsed = variant if isinstance(variant, Ranges) else Variant.parse(variant)
     made_by = Path(policy) if isinstance(policy, str) else policy
     return publish_recipe(Recipe(parsed, tier, episodes, seed, made_by), jobs=jobs, force=force)
 
@@ -290,7 +291,10 @@ def publish_all(
 
     Raises:
         JobError: if the back end cannot be used.
+        ArgumentError: if one of ``recipes`` is something else, or ``jobs`` is not valid.
     """
+    if not all(isinstance(recipe, Recipe) for recipe in recipes):
+        raise ArgumentError("publish_all() takes recipes, as in Recipe(Variant.parse('hopper-base'))")
     work = partial(_publish_or_report, force=force)
     for number, outcome in run_jobs(work, recipes, jobs=jobs, backend=backend):
         if isinstance(outcome, JobError):

@@ -64,8 +64,8 @@ class Variant:
         return CATEGORIES.index(change.category), [*listing.bodies, *listing.groups].index(change.body)
 
     @classmethod
-    def parse(cls, text: str) -> Variant:
-        """Return the variant that ``text`` names.
+    def parse(cls, text: str | Variant) -> Variant:
+        """Return the variant that ``text`` names. A variant is returned as it is.
 
         ``text`` is a variant id (``hopper-massdec_25_leggeom``, ``hopper-base``) or the
         environment id made of it (``imujoco/hopper-massdec_25_leggeom-v0``).
@@ -73,6 +73,8 @@ class Variant:
         Raises:
             VariantError: when ``text`` names no variant, with the nearest one of the catalogue.
         """
+        if isinstance(text, cls):
+            return text
         if not isinstance(text, str):
             raise VariantError(f"a variant id is text, not {type(text).__name__}")
         name = text.removeprefix(f"{NAMESPACE}/").removesuffix("-v0")
@@ -177,7 +179,7 @@ def catalogue(robot: str | None = None, category: str | None = None) -> tuple[Va
     """
     if category is not None and category not in CATEGORIES:
         raise VariantError(
-            f"unknown category {clipped(category)!r}{suggestion(category[:80], CATEGORIES)}; "
+            f"unknown category {clipped(category)!r}{suggestion(clipped(category), CATEGORIES)}; "
             f"valid: {', '.join(CATEGORIES)}"
         )
     if robot is not None and category is not None:

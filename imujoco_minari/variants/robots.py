@@ -12,6 +12,7 @@ from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
 
+from imujoco_minari.arguments import as_path
 from imujoco_minari.errors import CatalogueError, VariantError, clipped, suggestion
 from imujoco_minari.variants.includes import read_model
 from imujoco_minari.variants.pages import RobotSpecification, parse_specification
@@ -27,7 +28,7 @@ def specification(robot: str) -> RobotSpecification:
     Raises:
         VariantError: when there is no such robot.
     """
-    if robot not in _PAGES:
+    if not isinstance(robot, str) or robot not in _PAGES:
         shown = clipped(robot)
         raise VariantError(f"unknown robot {shown!r}{suggestion(shown, _PAGES)}; valid: {', '.join(_PAGES)}")
     return _PAGES[robot]
@@ -54,7 +55,7 @@ def load_pages(path: str | Path) -> tuple[str, ...]:
         CatalogueError: when there is no page, a page or its model cannot be read, a page is wrong, or
             another page of the robot is loaded.
     """
-    path = Path(path)
+    path = as_path(path)
     files = sorted(path.glob("*.toml")) if path.is_dir() else [path]
     if not files:
         raise CatalogueError(f"{path}: no page of a robot is here; a page is a file <robot>.toml")

@@ -19,7 +19,12 @@ from safetensors.numpy import save_file
 
 import imujoco_minari
 from imujoco_minari.envs.mjcf import canonical_mjcf
-from imujoco_minari.errors import DatasetError, DatasetExistsError, PolicyError, PolicyNotFoundError
+from imujoco_minari.errors import (
+    ArgumentError,
+    DatasetExistsError,
+    PolicyError,
+    PolicyNotFoundError,
+)
 from imujoco_minari.policies import RandomPolicy, read_actor
 from imujoco_minari.publishing.publisher import publish, publish_all
 from imujoco_minari.publishing.recipes import Recipe
@@ -252,5 +257,5 @@ def test_random_data_spans_the_action_space_and_repeats() -> None:
 
 @pytest.mark.parametrize("fields", [{"episodes": 0}, {"seed": -1}])
 def test_a_recipe_that_makes_no_sense_is_refused(fields: dict[str, int]) -> None:
-    with pytest.raises(DatasetError):
+    with pytest.raises(ArgumentError):
         Recipe(Variant.parse("hopper-base"), **fields)
