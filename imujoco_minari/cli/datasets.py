@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -28,8 +28,8 @@ from imujoco_minari.cli.options import (
     WithBase,
 )
 from imujoco_minari.cli.printing import counted, fail, out, print_json, print_table, printable, progress, say
-from imujoco_minari.cli.selection import Filters, select, select_datasets
-from imujoco_minari.errors import DatasetNotFoundError, ImujocoError, VariantError
+from imujoco_minari.cli.selection import Filters, not_published, select, select_datasets
+from imujoco_minari.errors import ImujocoError, VariantError
 from imujoco_minari.policies.tiers import MEDIUM_REPLAY
 from imujoco_minari.storage import minari_root
 from imujoco_minari.variants import EXPERT
@@ -175,8 +175,11 @@ def combine(
         if ids or robot is None or with_base or partial:
             raise VariantError("name the collection with --id, as in imujoco/hopper-mine-v0")
         new_id = NamedCollection(robot, category, tier).dataset_id
-    if filters:
-        _check_published(sources, filters, tier)
+    if filters and (missing := [source for source in sources if not minari_root.exists(source)]):
+        for dataset_id in missing:
+            say(f"  {dataset_id}")
+        other = ", or combine the others with --partial and an --id"
+        raise not_published(missing, sources, filters, [tier], other)
     created = force or not minari_root.exists(new_id)
     dataset = combine_datasets(sources, new_id, link=link, force=force)
     path = dataset.storage.data_path.parent
@@ -193,24 +196,6 @@ def combine(
         f"{counted(int(dataset.total_episodes), 'episode')}, {counted(int(dataset.total_steps), 'step')}"
         + (", linked" if link else ""),
         f"  at {path}",
-    )
-
-
-def _check_published(ids: Sequence[str], filters: Filters, tier: str) -> None:
-    """List the datasets that the Minari root does not hold.
-
-    Raises:
-        DatasetNotFoundError: when there are any.
-    """
-    missing = [dataset_id for dataset_id in ids if not minari_root.exists(dataset_id)]
-    if not missing:
-        return
-    for dataset_id in missing:
-        say(f"  {dataset_id}")
-    option = "" if tier == EXPERT else f" --tier {tier}"
-    raise DatasetNotFoundError(
-        f"{len(missing)} of {counted(len(ids), 'dataset')} are not in the Minari root: make them with "
-        f"`imujoco publish {filters}{option}`, or combine the others with --partial and an --id"
     )
 
 

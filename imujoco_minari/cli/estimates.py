@@ -13,7 +13,6 @@ from imujoco_minari.policies import expert_record
 from imujoco_minari.policies.tiers import MEDIUM_REPLAY
 from imujoco_minari.storage import minari_root
 from imujoco_minari.storage.metadata import read_metadata
-from imujoco_minari.storage.missing import not_in_root
 from imujoco_minari.variants import BASE, EXPERT, Variant, parse_dataset_id, specification
 
 if TYPE_CHECKING:
@@ -125,15 +124,9 @@ class PlannedExport:
 
 
 def plan_export(dataset_ids: Sequence[str], *, archive: bool) -> PlannedExport:
-    """Return what an export of datasets would write; ``archive`` means the original's layout.
-
-    Raises:
-        DatasetNotFoundError: when a dataset is not in the Minari root.
-    """
+    """Return what an export of published datasets would write; ``archive`` means the original's layout."""
     episodes = steps = size = 0
     for dataset_id in dataset_ids:
-        if not minari_root.exists(dataset_id):
-            raise not_in_root(dataset_id)
         stated = read_metadata(minari_root.dataset_folder(dataset_id) / "data")
         episodes, steps = episodes + stated.get("total_episodes", 0), steps + stated.get("total_steps", 0)
         if archive:

@@ -23,8 +23,10 @@ from imujoco_minari.cli.options import (
     WithBase,
 )
 from imujoco_minari.cli.printing import counted, out, print_json, progress, say
-from imujoco_minari.cli.selection import Filters, select_datasets
+from imujoco_minari.cli.selection import Filters, not_published, select_datasets
 from imujoco_minari.errors import DatasetError, VariantError
+from imujoco_minari.storage import minari_root
+from imujoco_minari.storage.missing import not_in_root
 
 _WHOLE = (0.0, 1.0)
 
@@ -74,7 +76,10 @@ def export_datasets(
     from imujoco_minari.loading import arrays
 
     filters = Filters(robot, category, everything, with_base)
-    chosen = select_datasets(ids, filters, tiers, complete=True)
+    chosen = select_datasets(ids, filters, tiers, published=False)
+    missing = [dataset_id for dataset_id in chosen if not minari_root.exists(dataset_id)]
+    if missing:
+        raise not_published(missing, chosen, filters, tiers) if filters else not_in_root(missing[0])
     if output is None and (filters or format == ARCHIVE):
         raise VariantError("name the new file or folder with --output")
     if format == ARCHIVE and (states_only or portion != _WHOLE):

@@ -97,12 +97,7 @@ def select(names: Sequence[str] | None, filters: Filters) -> list[Variant]:
 
 
 def select_datasets(
-    ids: Sequence[str] | None,
-    filters: Filters,
-    tiers: Sequence[str] | None = None,
-    *,
-    published: bool = True,
-    complete: bool = False,
+    ids: Sequence[str] | None, filters: Filters, tiers: Sequence[str] | None = None, *, published: bool = True
 ) -> list[str]:
     """Return the dataset ids that a command names, or those of the chosen variants and tiers.
 
@@ -111,11 +106,10 @@ def select_datasets(
         filters: its filters.
         tiers: its tiers; only the experts' data when there are none.
         published: leave out datasets that the Minari root does not hold.
-        complete: leave out none: fail if the Minari root lacks one.
 
     Raises:
         VariantError: if there are ids and filters, or neither.
-        DatasetNotFoundError: if nothing is left, or with ``complete`` one is missing.
+        DatasetNotFoundError: if nothing is left.
     """
     filters.check_no_names(ids)
     if ids and tiers:
@@ -125,15 +119,30 @@ def select_datasets(
     if not filters:
         raise VariantError("give dataset ids, or choose some with --robot, --category or --all")
     tiers = list(dict.fromkeys(tiers or [EXPERT]))
-    wanted = [variant.dataset_id(tier) for tier in tiers for variant in filters.variants()]
-    found = [name for name in wanted if minari_root.exists(name)] if published else wanted
-    if not found or (complete and len(found) < len(wanted)):
-        flags = "".join(f" --tier {tier}" for tier in tiers if tiers != [EXPERT])
-        kind = " or ".join(tiers)
-        lacking = f"no {kind} dataset of {filters} is"
-        if found:
-            lacking = f"{len(wanted) - len(found)} of the {len(wanted)} {kind} datasets of {filters} are not"
+    found = [variant.dataset_id(tier) for tier in tiers for variant in filters.variants()]
+    if published:
+        found = [dataset_id for dataset_id in found if minari_root.exists(dataset_id)]
+    if not found:
         raise DatasetNotFoundError(
-            f"{lacking} in the Minari root: make them with `imujoco publish {filters}{flags}`"
+            f"no {' or '.join(tiers)} dataset of {filters} is in the Minari root: "
+            f"make them with `{_publish_command(filters, tiers)}`"
         )
     return found
+
+
+def not_published(
+    missing: Sequence[str],
+    chosen: Sequence[str],
+    filters: Filters,
+    tiers: Sequence[str] | None,
+    other: str = "",
+) -> DatasetNotFoundError:
+    """Return the error for chosen datasets that are not published; ``other`` names another way."""
+    return DatasetNotFoundError(
+        f"{len(missing)} of {counted(len(chosen), 'dataset')} are not in the Minari root: "
+        f"make them with `{_publish_command(filters, tiers or [EXPERT])}`{other}"
+    )
+
+
+def _publish_command(filters: Filters, tiers: Sequence[str]) -> str:
+    return f"imujoco publish {filters}" + "".join(f" --tier {tier}" for tier in tiers if tiers != [EXPERT])

@@ -235,7 +235,7 @@ def test_what_is_missing_is_named_before_anything_is_written(
         export_archive([*IDS, "imujoco/hopper-base-v0"], target)
     assert run(["export", "--format", "imujoco", "--robot", "halfcheetah", "-o", str(target)]) == 2
     assert (
-        "52 of the 53 expert datasets of --robot halfcheetah are not in the Minari root: "
+        "52 of 53 datasets are not in the Minari root: "
         "make them with `imujoco publish --robot halfcheetah`" in capsys.readouterr().err
     )
     assert run(["export", "--format", "imujoco", "imujoco/x-v0", "--dry-run", "-o", str(target)]) == 2
