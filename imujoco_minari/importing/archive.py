@@ -31,6 +31,11 @@ class Member:
     def __str__(self) -> str:
         return f"{self.path}/{self.entry}" if self.entry else str(self.path)
 
+    @property
+    def name(self) -> str:
+        """The name of the file, without its folders."""
+        return (self.entry or self.path.name).rpartition("/")[2]
+
     @contextmanager
     def on_disk(self) -> Iterator[Path]:
         """Yield the path of the file; an entry of a zip is a temporary file within the context."""
@@ -142,7 +147,7 @@ def open_archive(place: Path) -> Archive:
     for part, members in parts:
         prefix, suffix = PARTS[part]
         for member in members:
-            name = (member.entry or member.path.name).rpartition("/")[2]
+            name = member.name
             if name.startswith("._") or name == ".DS_Store":
                 continue
             try:

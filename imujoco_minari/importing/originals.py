@@ -30,14 +30,7 @@ from imujoco_minari.storage import file_format
 from imujoco_minari.storage.metadata import provenance
 from imujoco_minari.storage.writer import EpisodeStorage
 from imujoco_minari.variants import EXPERT
-from imujoco_minari.variants.original import (
-    CATALOGUE,
-    ORIGINAL,
-    REBUILT,
-    RECOLLECTED,
-    OriginalVariant,
-    file_name,
-)
+from imujoco_minari.variants.original import CATALOGUE, ORIGINAL, REBUILT, RECOLLECTED, OriginalVariant
 
 AUTHORS = frozenset({"Massimiliano Patacchiola", "Mingfei Sun", "Katja Hofmann", "Richard E. Turner"})
 CODE = "https://github.com/mpatacchiola/imujoco"
@@ -111,7 +104,7 @@ def import_variant(archive: Archive, variant: OriginalVariant, how: Import) -> P
             "description": " ".join((description, *found.notes)),
             **_reference_maximum(found),
             "mjcf_source": source,
-            "source": file_name("dataset", variant),
+            "source": f"dataset/{member.name}",
             "source_sha256": digest,
             "source_columns": str(layout),
             "source_checks": [str(check) for check in checks],
@@ -130,7 +123,8 @@ def recollect(archive: Archive, variant: OriginalVariant, how: Import) -> Publis
         ImujocoError: when a file is missing or is not what it must be, or the root cannot be written.
     """
     source, mjcf = archive.mjcf(variant)
-    with archive.member(variant, "policies").on_disk() as path:
+    member = archive.member(variant, "policies")
+    with member.on_disk() as path:
         policy, digest = read_actor(path).for_robot(variant.robot), file_format.file_sha256(path)
     spec, rebuilt = environment_spec(variant, mjcf), REBUILT in source
     if rebuilt:
@@ -150,7 +144,7 @@ def recollect(archive: Archive, variant: OriginalVariant, how: Import) -> Publis
         **_metadata(variant, spec, policy.algorithm, rebuilt),
         "description": description,
         "mjcf_source": source,
-        "source": file_name("policies", variant),
+        "source": f"policies/{member.name}",
         "source_sha256": digest,
         "policy_sha256": policy.sha256,
         "policy_deterministic": policy.deterministic,
