@@ -65,14 +65,14 @@ def gym_xml(variant: str) -> str:
         if (element.get("name") or "").replace("_", "") == parsed.body
     )
     if parsed.category == "mass":
-        element.set("density", repr(1000 * parsed.factor))
+        element.set("density", repr(1000 * parsed.changes[0].factor))
     elif parsed.category == "joint":
-        element.set("range", _text(_numbers(element.get("range")) * parsed.factor))
+        element.set("range", _text(_numbers(element.get("range")) * parsed.changes[0].factor))
     elif parsed.category == "friction":
-        element.set("friction", repr(float(element.get("friction", "0.4")) * parsed.factor))
+        element.set("friction", repr(float(element.get("friction", "0.4")) * parsed.changes[0].factor))
     else:
         radius, half = _numbers(element.get("size"))
-        element.set("size", _text([radius, half * parsed.factor]))
+        element.set("size", _text([radius, half * parsed.changes[0].factor]))
     if parsed.robot == "hopper":
         # As gym's file had it; MuJoCo of the time read 0.13 and stopped.
         foot = next(body for body in root.iter("body") if body.get("name") == "foot")
