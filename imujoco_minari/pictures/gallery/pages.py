@@ -301,7 +301,9 @@ def _format_share(share: float) -> str:
 
 
 def _format_normalised(share: float | None) -> str:
-    return "" if share is None else f' <span class="normalised">{_format_share(share)}</span>'
+    if share is None:
+        return ""
+    return f' <span class="normalised"><span class="hidden">normalised </span>{_format_share(share)}</span>'
 
 
 def _format_significant(value: float) -> str:
