@@ -32,6 +32,7 @@ from imujoco_minari.training.agents import ALGORITHM
 from imujoco_minari.training.hyperparameters import SCRATCH, hyperparameters
 from imujoco_minari.training.run import OnInterval, Progress, Run, do_nothing
 from imujoco_minari.training.task import Task
+from imujoco_minari.variants import Ranges
 
 
 class WholeEpisodeCollector(StorageCollector):
@@ -80,10 +81,12 @@ def record_medium_replay(
     Raises:
         DatasetError: if the check of the new dataset fails.
         DatasetExistsError: if the root has another dataset with this id and ``force`` is false.
-        PolicyNotFoundError: if the variant has no expert to compare with.
+        PolicyNotFoundError: if the recipe has ranges, or its variant no expert to compare with.
         TrainingError: if the run does not reach the return.
     """
-    variant = recipe.nominal
+    variant = recipe.variant
+    if isinstance(variant, Ranges):
+        raise PolicyNotFoundError(f"{MEDIUM_REPLAY} is a training run on one variant, not on ranges")
     expert = expert_record(variant)
     if not expert:
         raise PolicyNotFoundError(
