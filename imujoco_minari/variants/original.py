@@ -61,12 +61,15 @@ class OriginalVariant(Variant):
             )
 
     @classmethod
-    def parse(cls, text: str) -> OriginalVariant:
-        """Return the variant that ``text``, a file's stem in the archive, names.
+    def parse(cls, text: str | Variant) -> OriginalVariant:
+        """Return the variant that ``text``, a file's stem in the archive, names. A variant stays as it is.
 
         Raises:
             VariantError: when it is not ``<robot>-<category><inc|dec>_<percent>_<body>`` or ``<robot>-base``.
         """
+        if isinstance(text, cls):
+            return text
+        text = str(text)
         robot, _, rest = text.partition("-")
         if rest == BASE and robot in ROBOTS:
             return cls(robot)
