@@ -208,6 +208,9 @@ def verify_datasets(
     with_base: WithBase = False,
     tiers: Tiers = None,
     replay: Annotated[bool, typer.Option(help="Replay every episode from its seed and actions.")] = True,
+    published: Annotated[
+        bool, typer.Option("--published", help="Compare with the digest that this version lists.")
+    ] = False,
     jobs: Jobs = 1,
     backend: Backend = None,
     as_json: AsJson = False,
@@ -219,8 +222,13 @@ def verify_datasets(
     filters, it checks the datasets of the chosen variants that are in the Minari root. It exits with 1
     when a dataset has a finding.
 
+    With --published, a dataset must also have the digest that this version of the package lists for it: it is
+    the dataset that this version makes. A dataset without a listed digest is not checked, and the exit code
+    is 2.
+
     Examples: `imujoco verify imujoco/hopper-massdec_25_leggeom-v0`,
-    `imujoco verify --robot hopper --tier random --jobs 2`
+    `imujoco verify --robot hopper --tier random --jobs 2`,
+    `imujoco verify imujoco/hopper-base-v0 --published`
     """
     from imujoco_minari.verification import verify
 
@@ -231,13 +239,18 @@ def verify_datasets(
         try:
             with progress(dataset_id, _episodes(dataset_id), quiet=as_json or not replay) as advance:
                 results[dataset_id] = verify(
-                    dataset_id, replay=replay, jobs=jobs, backend=backend, on_episode=advance
+                    dataset_id,
+                    replay=replay,
+                    published=published,
+                    jobs=jobs,
+                    backend=backend,
+                    on_episode=advance,
                 )
         except ImujocoError as error:
             errors.append(error)
             continue
         if not as_json:
-            _print_findings(dataset_id, results[dataset_id])
+            _print_findings(dataset_id, results[dataset_id], "sound, as published" if published else "sound")
     if as_json:
         document: dict[str, Any] = {
             dataset_id: [vars(finding) for finding in findings] for dataset_id, findings in results.items()
@@ -256,12 +269,12 @@ def verify_datasets(
         raise typer.Exit(exit_code([each.missing for each in errors]))
 
 
-def _print_findings(dataset_id: str, findings: Findings) -> None:
+def _print_findings(dataset_id: str, findings: Findings, sound: str) -> None:
     if findings:
         out.print(f"{dataset_id}: {counted(len(findings), 'finding')}")
         print_table(("where", "what"), [[finding.where, finding.what] for finding in findings])
         return
-    out.print(", but ".join([f"{dataset_id}: sound", *filter(None, ["; ".join(findings.exceptions)])]))
+    out.print(", but ".join([f"{dataset_id}: {sound}", *filter(None, ["; ".join(findings.exceptions)])]))
 
 
 def _episodes(dataset_id: str) -> int:

@@ -30,6 +30,7 @@ from imujoco_minari.storage.quiet_file import writing
 from imujoco_minari.variants.named_collections import NamedCollection
 from imujoco_minari.variants.original import CATALOGUE, ORIGINAL, names_variant, variant_of
 from imujoco_minari.verification.child_process import survives
+from imujoco_minari.verification.findings import plain
 
 
 @dataclass(frozen=True)
@@ -154,9 +155,7 @@ def _check_file(source: Source) -> None:
     try:
         digest = file_format.file_sha256(source.file)
     except FileNotFoundError:
-        raise DatasetError(
-            f"{source.dataset_id} was deleted while it was read: nothing was combined"
-        ) from None
+        raise source.deleted() from None
     if digest != source.metadata.get(file_format.FILE_DIGEST) and (finding := survives(source.data)):
         raise DatasetError(f"{source.dataset_id} cannot be combined: {finding}")
 
@@ -197,7 +196,7 @@ def _count_steps(source: Source, file: h5py.File) -> int:
     """Return the number of steps of a source; from its metadata if all its episodes are used."""
     if source.whole:
         return int(source.metadata["total_steps"])
-    return sum(int(file[f"episode_{number}"].attrs["total_steps"]) for number in source.episodes)
+    return sum(int(file[file_format.episode_name(number)].attrs["total_steps"]) for number in source.episodes)
 
 
 def _shared_attributes(attributes: list[dict[str, Any]]) -> dict[str, Any]:
@@ -233,7 +232,7 @@ def _collection_metadata(
         "total_steps": written.steps,
         **({CATALOGUE: ORIGINAL} if originals else {}),
         **({} if spec is None else {"env_spec": spec.to_json()}),
-        **{key: _to_json_value(value) for key, value in written.stated.items()},
+        **{key: plain(value) for key, value in written.stated.items()},
     }
 
 
@@ -308,8 +307,3 @@ def _original_models(sources: Sequence[Source]) -> dict[str, str]:
                     f"{source.dataset_id}: its model of {variant} differs from that of another source"
                 )
     return models
-
-
-def _to_json_value(value: Any) -> Any:
-    """Return an HDF5 attribute as a JSON value."""
-    return value.item() if hasattr(value, "item") else value

@@ -16,6 +16,8 @@ from imujoco_minari.variants import EXPERT, Ranges, Variant
 
 # What a dataset needs of a policy.
 _STATED = ("act", "algorithm", "sha256", "deterministic")
+# A thousand times more than any dataset of these robots that is known; a mistyped number is larger.
+MAX_EPISODES = 10**6
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,8 @@ class Recipe:
     def __post_init__(self) -> None:
         if not isinstance(self.variant, Variant | Ranges):
             raise VariantError(f"a recipe needs a Variant or Ranges, not {type(self.variant).__name__}")
-        whole_number(self.episodes, "episodes", least=1)
+        if whole_number(self.episodes, "episodes", least=1) > MAX_EPISODES:
+            raise DatasetError(f"a dataset has 1 to {MAX_EPISODES} episodes, not {self.episodes}")
         whole_number(self.seed, "seed", least=0)
         _ = self.dataset_id
         if self.policy is not None and not isinstance(self.policy, Path):

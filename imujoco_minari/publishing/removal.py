@@ -10,7 +10,7 @@ import h5py
 
 from imujoco_minari.errors import DatasetError, ImujocoError
 from imujoco_minari.storage import file_format, minari_root, transactions
-from imujoco_minari.storage.metadata import METADATA_FILE, read_metadata
+from imujoco_minari.storage.metadata import METADATA_FILE, read_metadata, sources
 from imujoco_minari.storage.missing import not_in_root
 
 
@@ -89,10 +89,10 @@ def linked_collections() -> dict[str, set[str]]:
     root = minari_root.datasets_root()
     for file in root.glob(f"**/data/{METADATA_FILE}"):
         data = file.parent
-        sources = read_metadata(data).get("combined_datasets")
-        if isinstance(sources, list) and transactions.STAGING not in file.parts and _is_linked(data):
-            for source in sources:
-                found.setdefault(str(source), set()).add(data.parent.relative_to(root).as_posix())
+        combined = sources(read_metadata(data))
+        if combined and transactions.STAGING not in file.parts and _is_linked(data):
+            for source in combined:
+                found.setdefault(source, set()).add(data.parent.relative_to(root).as_posix())
     return found
 
 
@@ -100,6 +100,6 @@ def _is_linked(data: Path) -> bool:
     """Return whether the first episode of a collection is a link to another file."""
     try:
         with h5py.File(file_format.main_file(data), "r") as file:
-            return isinstance(file.get("episode_0", getlink=True), h5py.ExternalLink)
+            return isinstance(file.get(file_format.episode_name(0), getlink=True), h5py.ExternalLink)
     except (OSError, KeyError, RuntimeError):
         return False

@@ -19,6 +19,7 @@ from imujoco_minari.errors import ArgumentError, DatasetError, DatasetNotFoundEr
 from imujoco_minari.storage import copying, file_format, minari_root
 from imujoco_minari.storage.metadata import read_metadata
 from imujoco_minari.storage.missing import not_in_root
+from imujoco_minari.verification.findings import same
 
 
 @dataclass(frozen=True)
@@ -65,21 +66,32 @@ class Source:
         try:
             with h5py.File(self.file, "r") as file:
                 same_folder = self.folder == minari_root.folder_identity(self.data)
-                if not same_folder or file.attrs.get("content_sha256") != self.metadata.get("content_sha256"):
+                digest = self.metadata.get("content_sha256")
+                if not same_folder or not same(file.attrs.get("content_sha256"), digest):
                     raise DatasetError(
                         f"{self.dataset_id} was replaced while it was read: nothing was combined; try again"
                     )
+                if len(file) != self.metadata["total_episodes"]:
+                    raise DatasetError(
+                        f"{self.dataset_id} states {self.metadata['total_episodes']} episodes, but its file "
+                        f"holds {len(file)}: see `imujoco verify {self.dataset_id}`"
+                    )
                 yield file
         except FileNotFoundError:
-            raise DatasetError(
-                f"{self.dataset_id} was deleted while it was read: nothing was combined"
-            ) from None
+            raise self.deleted() from None
+
+    def deleted(self) -> DatasetError:
+        """Return the error for a source that another process deleted."""
+        return DatasetError(f"{self.dataset_id} was deleted while it was read: nothing was combined")
 
     def digest(self, file: h5py.File) -> str:
         """Return the digest of its episodes; from its metadata if all of them are used."""
         if self.whole and "content_sha256" in self.metadata:
             return str(self.metadata["content_sha256"])
-        digests = (file[f"episode_{number}"].attrs.get(file_format.DIGEST, "") for number in self.episodes)
+        digests = (
+            file[file_format.episode_name(number)].attrs.get(file_format.DIGEST, "")
+            for number in self.episodes
+        )
         return file_format.dataset_sha256(map(str, digests))
 
     def attributes(self, file: h5py.File) -> list[dict[str, Any]]:
@@ -123,6 +135,9 @@ def open_source(dataset: MinariDataset | str) -> Source:
         raise DatasetError(
             f"{dataset_id} does not state its number of episodes; see `imujoco verify {dataset_id}`"
         )
+    for key in ("author", "requirements"):
+        if not isinstance(metadata.get(key) or [], list):
+            raise DatasetError(f"{dataset_id} cannot be combined: its {key} is not a list of texts")
     return Source(
         dataset_id=dataset_id,
         data=data,

@@ -81,7 +81,7 @@ def _digest(source: Source, *, link: bool) -> str:
         if link or "content_sha256" in source.metadata:
             return source.digest(file)
         # A copy of episodes that another package published gets their digests.
-        groups = (file[f"episode_{number}"] for number in source.episodes)
+        groups = (file[file_format.episode_name(number)] for number in source.episodes)
         return file_format.dataset_sha256(
             file_format.episode_sha256(file_format.array_digests(group)) for group in groups
         )
@@ -92,7 +92,9 @@ def _parts(data: Path, counts: Sequence[int]) -> Iterator[tuple[int, str]]:
     with h5py.File(file_format.main_file(data), "r") as file:
         start = 0
         for count in counts:
-            numbers = range(start, start + count)
-            digests = (str(file[f"episode_{number}"].attrs[file_format.DIGEST]) for number in numbers)
-            yield count, file_format.dataset_sha256(digests)
+            names = map(file_format.episode_name, range(start, start + count))
+            yield (
+                count,
+                file_format.dataset_sha256(str(file[name].attrs[file_format.DIGEST]) for name in names),
+            )
             start += count

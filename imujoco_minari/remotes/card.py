@@ -18,12 +18,10 @@ from imujoco_minari.envs.differences import differences
 from imujoco_minari.errors import VariantError
 from imujoco_minari.policies.tiers import EXPERT_STOCHASTIC, MEDIUM_REPLAY, RANDOM, REPLAY, TIERS
 from imujoco_minari.storage.file_format import MAIN_FILE, REPLAYABLE
-from imujoco_minari.storage.metadata import read_metadata
+from imujoco_minari.storage.metadata import AUTHOR, read_metadata, sources, texts
 from imujoco_minari.storage.missing import making
 from imujoco_minari.variants import EXPERT, Variant, parse_dataset_id
 
-# The author that datasets of this package state.
-OUR_AUTHOR = "imujoco_minari"
 ORIGINAL = "https://zenodo.org/records/7971395"
 PAPER = "https://arxiv.org/abs/2306.13554"
 CITATION = """@inproceedings{patacchiola2023comparing,
@@ -105,12 +103,12 @@ def namespace_card(namespace: str, remote: str, datasets: Mapping[str, Mapping[s
         remote: address of the remote.
         datasets: maps the id of each dataset that the remote lists to its metadata.
     """
-    steps = sum(int(metadata.get("total_steps", 0)) for metadata in datasets.values())
+    steps = sum(_steps(metadata) for metadata in datasets.values())
     rows = [
         (
             f"`{dataset_id}`",
             str(metadata.get("total_episodes", "")),
-            f"{int(metadata.get('total_steps', 0)):,}",
+            f"{_steps(metadata):,}",
             str(metadata.get("algorithm_name", "")),
         )
         for dataset_id, metadata in sorted(datasets.items())
@@ -164,8 +162,8 @@ def _number_rows(metadata: Mapping[str, Any], returns: Any, lengths: Any) -> lis
     ):
         if isinstance(metadata.get(key), int | float):
             rows.append((name, f"{metadata[key]:.1f}"))
-    if metadata.get("combined_datasets"):
-        rows.append(("combined from", f"{len(metadata['combined_datasets'])} datasets"))
+    if combined := sources(metadata):
+        rows.append(("combined from", f"{len(combined)} datasets"))
     return rows
 
 
@@ -199,9 +197,9 @@ def _reproducing_command(metadata: Mapping[str, Any]) -> str:
     try:
         variant, tier = parse_dataset_id(str(metadata["dataset_id"]))
     except VariantError:
-        sources = metadata.get("combined_datasets")
-        return f"imujoco combine {' '.join(sources)} --id {metadata['dataset_id']}" if sources else ""
-    if metadata.get("author") != [OUR_AUTHOR]:
+        combined = sources(metadata)
+        return f"imujoco combine {' '.join(combined)} --id {metadata['dataset_id']}" if combined else ""
+    if metadata.get("author") != [AUTHOR]:
         return ""
     if tier == REPLAY:
         return making(variant.dataset_id(tier))
@@ -225,7 +223,7 @@ def _publish_command(variant: Variant, tier: str, metadata: Mapping[str, Any]) -
 
 def _origin_section(datasets: Sequence[Mapping[str, Any]]) -> str:
     """Return the section that names the authors of the episodes and cites the original."""
-    others = sorted({str(author) for each in datasets for author in each.get("author", [])} - {OUR_AUTHOR})
+    others = sorted({author for each in datasets for author in texts(each, "author")} - {AUTHOR})
     if others:
         authors = f"Episodes or policies are by {', '.join(others)}."
     else:
@@ -241,7 +239,13 @@ def _license_name(metadata: Mapping[str, Any]) -> str:
     """Return the Hub's name of a dataset's licence; ``unknown`` for external data that states none."""
     if isinstance(metadata.get("license"), str):
         return str(metadata["license"]).lower()
-    return "apache-2.0" if metadata.get("author") == [OUR_AUTHOR] else "unknown"
+    return "apache-2.0" if metadata.get("author") == [AUTHOR] else "unknown"
+
+
+def _steps(metadata: Mapping[str, Any]) -> int:
+    """Return the number of steps that the metadata of a remote dataset states; 0 if it states none."""
+    steps = metadata.get("total_steps")
+    return steps if isinstance(steps, int) else 0
 
 
 def _markdown_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -18,7 +18,7 @@ from huggingface_hub.errors import HfHubHTTPError, RemoteEntryNotFoundError, Rep
 from minari.storage.remotes.huggingface import HuggingFaceStorage
 
 from imujoco_minari.errors import RemoteError
-from imujoco_minari.remotes.stores import CARD, FILES, namespace_file, parse_object
+from imujoco_minari.remotes.stores import CARD, FILES, namespace_file, parse_object, registered_ids
 from imujoco_minari.storage.minari_root import dataset_folder
 from imujoco_minari.storage.transactions import NAMESPACE_FILE
 
@@ -58,9 +58,7 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
     def registered(self, namespace: str, dataset_id: str) -> bool:
         """Return whether the repository's namespace metadata names the dataset."""
         data = self.read(namespace_file(namespace))
-        return data is not None and dataset_id in parse_object(data, namespace_file(namespace)).get(
-            "datasets", []
-        )
+        return data is not None and dataset_id in registered_ids(data, namespace_file(namespace))
 
     def holds(self, dataset_id: str) -> bool:
         """Return whether the Hub's digests of a dataset's files equal those of the local files."""
@@ -125,8 +123,9 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
 
     def _registry_including(self, repository: str, dataset_id: str, head: str) -> bytes:
         data = self._read_revision(repository, NAMESPACE_FILE, head)
-        registry = {} if data is None else parse_object(data, namespace_file(repository))
-        registry["datasets"] = sorted({*registry.get("datasets", []), dataset_id})
+        name = namespace_file(repository)
+        registry, known = ({}, []) if data is None else (parse_object(data, name), registered_ids(data, name))
+        registry["datasets"] = sorted({*known, dataset_id})
         return json.dumps(registry).encode()
 
     def _commit(self, repository: str, files: dict[str, Any], message: str, parent: str | None) -> None:

@@ -19,10 +19,11 @@ import numpy as np
 
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError
 from imujoco_minari.remotes.connecting import connect
-from imujoco_minari.remotes.stores import Store, metadata, remote_errors, sources_of
+from imujoco_minari.remotes.stores import Store, metadata, remote_errors
 from imujoco_minari.storage import copying, file_format, minari_root, transactions
-from imujoco_minari.storage.metadata import read_metadata
-from imujoco_minari.verification import Finding, child_process, inspect
+from imujoco_minari.storage.metadata import read_metadata, sources
+from imujoco_minari.verification import Finding, inspect
+from imujoco_minari.verification.findings import differs
 
 
 @dataclass(frozen=True)
@@ -154,8 +155,8 @@ def _download_and_check(
         staged.symlink_to(target.resolve())
         yield Pulled(dataset_id, remote, target)
         return
-    sources = sources_of(stated)
-    for source in sources:
+    combined = sources(stated)
+    for source in combined:
         if source not in seen:
             yield from _download_and_check(store, source, remote, replaceable, folder, seen)
     minari_root.check_place(target)
@@ -163,8 +164,8 @@ def _download_and_check(
         store.download_dataset(dataset_id, folder)
     stated = read_metadata(staged / "data")
     # The sources of a collection were replayed, or not, when they were pulled.
-    same = bool(sources) or _has_same_simulator(stated)
-    findings = _find_damage(staged / "data", stated, dataset_id, same and not sources)
+    same = bool(combined) or _has_same_simulator(stated)
+    findings = _find_damage(staged / "data", stated, dataset_id, same and not combined)
     if findings:
         raise DatasetError(f"{dataset_id} from {remote}: not kept, because its check found: {findings[0]}")
     if dataset_id in replaceable:
@@ -194,13 +195,8 @@ def _has_same_simulator(stated: dict[str, Any]) -> bool:
 
 
 def _find_damage(data: Path, stated: dict[str, Any], dataset_id: str, replay: bool) -> list[Finding]:
-    fatal = child_process.survives(data)
-    if fatal is not None:
-        return [fatal]
     if stated.get("dataset_id") != dataset_id:
-        return [Finding("metadata.json/dataset_id", f"is {str(stated.get('dataset_id'))[:80]!r}")]
-    if replay:
-        return inspect(data, replay_episodes=1)
+        return [differs("metadata.json/dataset_id", stated.get("dataset_id"), repr(dataset_id))]
+    findings = inspect(data, replay_episodes=int(replay), untrusted=True)
     # Another version may write and step the model differently. The digests must still match.
-    findings = inspect(data, replay_episodes=0)
-    return [finding for finding in findings if finding.where != "@mjcf" or "digest" in finding.what]
+    return [found for found in findings if replay or found.where != "@mjcf" or "digest" in found.what]

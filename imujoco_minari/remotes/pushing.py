@@ -15,17 +15,17 @@ from imujoco_minari.remotes.card import dataset_card, namespace_card
 from imujoco_minari.remotes.connecting import connect
 from imujoco_minari.remotes.stores import (
     FILES,
-    METADATA_FILE,
+    METADATA_PATH,
     Store,
     metadata,
     namespace_file,
     namespaces,
     parse_object,
     remote_errors,
-    sources_of,
 )
 from imujoco_minari.storage import minari_root
 from imujoco_minari.storage.file_format import file_sha256
+from imujoco_minari.storage.metadata import read_metadata, sources
 from imujoco_minari.verification import verify
 
 
@@ -78,14 +78,11 @@ def push(dataset_id: str, remote: str, *, token: str | None = None, force: bool 
         >>> push("imujoco/hopper-base-v0", "hf://user")[-1].uploaded
         True
     """
-    store = connect(remote, token=token, writing=True)
-    outcomes = [
-        _push_one(store, part, remote, force and part == dataset_id)
-        for part in _sources_and_itself(dataset_id)
-    ]
-    if any(outcome.uploaded for outcome in outcomes):
-        _update_cards(store, remote, [dataset_id])
-    return outcomes
+    outcomes = list(_push_each([dataset_id], remote, token, force))
+    failed = [error for _, error in outcomes if error is not None]
+    if failed:
+        raise failed[0]
+    return [outcome for outcome, _ in outcomes]
 
 
 def push_all(
@@ -102,6 +99,18 @@ def push_all(
     Raises:
         RemoteError: if the address is malformed, or the token is missing or unreadable.
     """
+    for outcome, _ in _push_each(dataset_ids, remote, token, force):
+        yield outcome
+
+
+def _push_each(
+    dataset_ids: Sequence[str], remote: str, token: str | None, force: bool
+) -> Iterator[tuple[Pushed, ImujocoError | None]]:
+    """Push datasets with their sources, and then update the cards, also after failures.
+
+    Yields:
+        Each outcome, and the error of a failure.
+    """
     store = connect(remote, token=token, writing=True)
     uploaded: list[str] = []
     done: set[str] = set()
@@ -112,11 +121,10 @@ def push_all(
                     outcome = _push_one(store, part, remote, force and part in dataset_ids)
                     done.add(part)
                     uploaded += [part] if outcome.uploaded else []
-                    yield outcome
+                    yield outcome, None
         except ImujocoError as error:
-            yield Pushed(dataset_id, remote, error=str(error), missing=error.missing)
-    if uploaded:
-        _update_cards(store, remote, uploaded)
+            yield Pushed(dataset_id, remote, error=str(error), missing=error.missing), error
+    _update_cards(store, remote, uploaded)
 
 
 def _sources_and_itself(dataset_id: str, around: AbstractSet[str] = frozenset()) -> list[str]:
@@ -126,16 +134,10 @@ def _sources_and_itself(dataset_id: str, around: AbstractSet[str] = frozenset())
         dataset_id: the dataset.
         around: ids of collections that contain it. They are left out, so a cycle ends.
     """
-    file = minari_root.dataset_folder(dataset_id) / METADATA_FILE
-    try:
-        sources = sources_of(parse_object(file.read_bytes(), str(file)))
-    except (OSError, RemoteError):
-        # The check of the dataset follows and reports what is wrong.
-        sources = []
+    # The check of the dataset follows and reports metadata that cannot be read.
+    combined = sources(read_metadata(minari_root.dataset_folder(dataset_id) / "data"))
     around = {*around, dataset_id}
-    parts = [
-        part for source in sources if source not in around for part in _sources_and_itself(source, around)
-    ]
+    parts = [part for each in combined if each not in around for part in _sources_and_itself(each, around)]
     return list(dict.fromkeys([*parts, dataset_id]))
 
 
@@ -145,7 +147,7 @@ def _push_one(store: Store, dataset_id: str, remote: str, force: bool) -> Pushed
     if findings:
         raise DatasetError(f"{dataset_id}: not pushed, because its check found: {findings[0]}")
     folder = minari_root.dataset_folder(dataset_id)
-    ours = parse_object((folder / METADATA_FILE).read_bytes(), METADATA_FILE)
+    ours = read_metadata(folder / "data")
     size = sum((folder / name).stat().st_size for name in FILES)
     digest = str(ours.get("content_sha256", ""))
     with remote_errors(remote):
@@ -190,7 +192,7 @@ def _update_cards(store: Store, remote: str, dataset_ids: Sequence[str]) -> None
     for namespace in dict.fromkeys(namespaces(dataset_id)[0] for dataset_id in dataset_ids):
         with remote_errors(remote):
             files = {
-                dataset_id: store.read(f"{dataset_id}/{METADATA_FILE}")
+                dataset_id: store.read(f"{dataset_id}/{METADATA_PATH}")
                 for dataset_id in sorted(store.list_datasets(prefix=f"{namespace}/"))
             }
             found = {name: parse_object(data, name) for name, data in files.items() if data is not None}

@@ -14,11 +14,12 @@ from typing import Any, Protocol
 
 from imujoco_minari.errors import ImujocoError, RemoteError
 from imujoco_minari.storage.file_format import MAIN_FILE
+from imujoco_minari.storage.metadata import METADATA_FILE
 from imujoco_minari.storage.transactions import NAMESPACE_FILE
 
-METADATA_FILE = "data/metadata.json"
+METADATA_PATH = f"data/{METADATA_FILE}"
 # The files of a dataset in the order of writing. Minari lists folders that have a metadata.json.
-FILES = (f"data/{MAIN_FILE}", METADATA_FILE)
+FILES = (f"data/{MAIN_FILE}", METADATA_PATH)
 CARD = "README.md"
 
 
@@ -57,8 +58,8 @@ def metadata(store: Store, dataset_id: str) -> dict[str, Any] | None:
     """Return the metadata of a dataset, or None if stock Minari does not list it."""
     if not store.registered(dataset_id.partition("/")[0], dataset_id):
         return None
-    data = store.read(f"{dataset_id}/{METADATA_FILE}")
-    return None if data is None else parse_object(data, f"{dataset_id}/{METADATA_FILE}")
+    data = store.read(f"{dataset_id}/{METADATA_PATH}")
+    return None if data is None else parse_object(data, f"{dataset_id}/{METADATA_PATH}")
 
 
 def parse_object(data: bytes, name: str) -> dict[str, Any]:
@@ -80,10 +81,20 @@ def parse_object(data: bytes, name: str) -> dict[str, Any]:
     return value
 
 
-def sources_of(stated: Mapping[str, Any]) -> list[str]:
-    """Return the ids of a dataset's sources, as its metadata states them."""
-    sources = stated.get("combined_datasets")
-    return [source for source in sources if isinstance(source, str)] if isinstance(sources, list) else []
+def registered_ids(data: bytes, name: str) -> list[str]:
+    """Return the dataset ids that the metadata of a namespace registers.
+
+    Args:
+        data: content of the file.
+        name: name of the file in the message of an error.
+
+    Raises:
+        RemoteError: if the content is not such metadata.
+    """
+    ids = parse_object(data, name).get("datasets", [])
+    if not isinstance(ids, list) or not all(isinstance(each, str) for each in ids):
+        raise RemoteError(f"{name} on the remote is damaged: its datasets are not a list of ids")
+    return ids
 
 
 def namespaces(dataset_id: str) -> list[str]:

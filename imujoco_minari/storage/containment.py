@@ -122,7 +122,7 @@ def check_episode(file: h5py.File, number: int, data: Path) -> None:
         return others[-1]
 
     try:
-        holder, name = follow(file, b"episode_%d" % number, data, opened)
+        holder, name = follow(file, file_format.episode_name(number).encode(), data, opened)
         _check_group(h5o.open(holder.id, name), f"{holder.filename}: {fsdecode(name)}", 0)
     finally:
         for other in others:

@@ -46,10 +46,10 @@ def copy_episodes(source: h5py.File, episodes: Sequence[int], target: h5py.File,
     steps, digests, data = 0, [], Path(os.fsdecode(source.filename)).parent
     for place, number in enumerate(episodes, start=len(target)):
         safe_point()
-        name = b"episode_%d" % place
         containment.check_episode(source, number, data)
-        h5o.copy(source.id, b"episode_%d" % number, target.id, name)
-        group = h5g.open(target.id, name)
+        name = file_format.episode_name(place)
+        h5o.copy(source.id, file_format.episode_name(number).encode(), target.id, name.encode())
+        group = h5g.open(target.id, name.encode())
         count = np.empty((), np.int64)
         h5a.open(group, b"total_steps").read(count)
         steps += int(count)
@@ -58,7 +58,7 @@ def copy_episodes(source: h5py.File, episodes: Sequence[int], target: h5py.File,
             write_attribute(group, "source", origin)
         if not h5a.exists(group, _DIGEST):
             # This package did not publish its dataset.
-            file_format.seal_episode(target[name.decode()])
+            file_format.seal_episode(target[name])
         digests.append(read_text(group, file_format.DIGEST))
     return Copied(steps, digests)
 
@@ -79,8 +79,8 @@ def link_episodes(source: h5py.File, episodes: Sequence[int], target: h5py.File,
     data = Path(os.fsdecode(source.filename)).parent
     for place, number in enumerate(episodes, start=len(target)):
         containment.check_episode(source, number, data)
-        name = b"episode_%d" % number
-        links.create_external(b"episode_%d" % place, where, name)
+        new, name = (file_format.episode_name(each).encode() for each in (place, number))
+        links.create_external(new, where, name)
 
 
 def check_replaced(dataset_id: str, replaced: Path, files: Iterable[Path]) -> None:
@@ -118,5 +118,5 @@ def _linked_files(path: Path) -> list[Path]:
 
 def episode_attributes(file: h5py.File, episodes: Sequence[int], keys: Sequence[str]) -> list[dict[str, Any]]:
     """Return for each episode the attributes among ``keys`` that it has."""
-    groups = (file[f"episode_{number}"].attrs for number in episodes)
+    groups = (file[file_format.episode_name(number)].attrs for number in episodes)
     return [{key: attrs[key] for key in keys if key in attrs} for attrs in groups]

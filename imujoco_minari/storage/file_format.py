@@ -78,6 +78,11 @@ def stated_ranges(attributes: Mapping[str, Any]) -> Ranges | None:
     return Ranges(str(attributes.get("robot")), ranges, str(attributes.get("distribution")))
 
 
+def episode_name(number: int) -> str:
+    """Return the name of an episode's group."""
+    return f"episode_{number}"
+
+
 def array_sha256(array: Any) -> str:
     """Return the digest of an array's dtype, shape and bytes in C order."""
     array = np.ascontiguousarray(array)
@@ -127,7 +132,7 @@ def content_sha256(file: h5py.File, episodes: int) -> str:
     Raises:
         KeyError: if an episode or its digest is missing.
     """
-    return dataset_sha256(str(file[f"episode_{episode}"].attrs[DIGEST]) for episode in range(episodes))
+    return dataset_sha256(str(file[episode_name(number)].attrs[DIGEST]) for number in range(episodes))
 
 
 def dataset_sha256(digests: Iterable[str]) -> str:

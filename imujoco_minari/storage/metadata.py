@@ -23,7 +23,8 @@ MAX_METADATA_BYTES = 2**24
 
 # The packages whose versions decide the content of a dataset, to the last bit or nearly.
 PACKAGES = ("imujoco-minari", "mujoco", "gymnasium", "minari", "numpy")
-_AUTHORS = frozenset({"imujoco_minari"})
+# The author that datasets of this package state.
+AUTHOR = "imujoco_minari"
 
 
 def read_metadata(data: Path) -> dict[str, Any]:
@@ -59,6 +60,17 @@ def _adopt_page(metadata: Mapping[str, Any]) -> None:
         return
 
 
+def texts(metadata: Mapping[str, Any], key: str) -> list[str]:
+    """Return the texts in a list of the metadata; empty if there is no such list."""
+    stated = metadata.get(key)
+    return [text for text in stated if isinstance(text, str)] if isinstance(stated, list) else []
+
+
+def sources(metadata: Mapping[str, Any]) -> list[str]:
+    """Return the ids of the datasets that a collection combines; empty for other datasets."""
+    return texts(metadata, "combined_datasets")
+
+
 def requirements(versions: Mapping[str, str]) -> list[str]:
     """Return the requirements that the versions of a dataset's packages give."""
     return [f"{name}=={versions[name]}" for name in ("mujoco", "gymnasium")]
@@ -70,7 +82,7 @@ def code_address(versions: Mapping[str, str]) -> str:
 
 
 def provenance(
-    *, authors: Iterable[str] = _AUTHORS, code: str | None = None, algorithm: str, description: str
+    *, authors: Iterable[str] = (AUTHOR,), code: str | None = None, algorithm: str, description: str
 ) -> dict[str, Any]:
     """Return the metadata about the authors, the code and the versions that made a dataset.
 

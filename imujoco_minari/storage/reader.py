@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imujoco_minari.errors import DatasetError
-from imujoco_minari.storage import containment
+from imujoco_minari.storage import containment, file_format
 
 Array = NDArray[Any]
 
@@ -126,7 +126,7 @@ class EpisodeFile:
 
     def _open_group(self, episode: int) -> tuple[h5py.h5g.GroupID, int]:
         """Return an episode's group, following a link, and the descriptor of the file that contains it."""
-        name = f"episode_{episode}".encode()
+        name = file_format.episode_name(episode).encode()
         try:
             # If HDF5 followed the link, it would open and close the other file for every episode.
             file, name = containment.follow(self._file, name, self._path.parent, self._open_file)

@@ -61,7 +61,7 @@ class EpisodeStorage(HDF5Storage):  # type: ignore[misc]
             if buffer.seed is not None:
                 attributes["seed"] = buffer.seed
             attributes |= flatten_dict(buffer.options or {}, "options") | EpisodeMetadataCallback()(arrays)
-            write_episode(self._file, f"episode_{self._episodes}", arrays, attributes)
+            write_episode(self._file, file_format.episode_name(self._episodes), arrays, attributes)
             self._episodes += 1
             self._steps += length
 

@@ -7,10 +7,11 @@ the processor architecture that made the dataset; another version is itself a fi
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -20,25 +21,29 @@ from imujoco_minari.parallel import run_jobs
 from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.storage.metadata import read_metadata
 from imujoco_minari.storage.missing import not_in_root
-from imujoco_minari.verification import child_process, digests
+from imujoco_minari.verification import child_process
 from imujoco_minari.verification.check import check, unreadable
-from imujoco_minari.verification.findings import MAX_FINDINGS, Checked, Finding, Findings, shown
+from imujoco_minari.verification.findings import MAX_FINDINGS, Finding, Findings, differs
 from imujoco_minari.verification.identity import dataset_models
+from imujoco_minari.verification.published import compare_with_published, published_entry
 from imujoco_minari.verification.replay import replay
 
-__all__ = ["Checked", "Finding", "Findings", "check", "inspect", "verify"]
+__all__ = ["Finding", "Findings", "inspect", "verify"]
 
 # How often a dataset is checked if other processes replace it during the check.
 _ATTEMPTS = 3
+
+_OnEpisode = Callable[[], None] | None
 
 
 def verify(
     dataset_id: str,
     *,
     replay: bool = True,
+    published: bool = False,
     jobs: int = 1,
     backend: str | None = None,
-    on_episode: Callable[[], None] | None = None,
+    on_episode: _OnEpisode = None,
 ) -> Findings:
     """Check a dataset of the Minari root and return what is wrong with it; an empty list means "sound".
 
@@ -50,87 +55,73 @@ def verify(
     Args:
         dataset_id: a dataset that this package published, or a collection of such.
         replay: replay every episode, beside the checks of structure, attributes and digests.
+        published: also compare the dataset with the digest that this version of the package lists for it.
         jobs: how many processes replay.
         backend: where; see :func:`imujoco_minari.parallel.run_jobs`.
         on_episode: called after each episode that was replayed.
 
     Raises:
         DatasetNotFoundError: when the root holds no such dataset.
+        NotFoundError: with ``published``, when this version lists no digest of the dataset.
         JobError: when the back end cannot be used.
+
+    Example:
+        >>> publish("hopper-base", tier="random", episodes=2).dataset_id
+        'imujoco/hopper-base-random-v0'
+        >>> verify("imujoco/hopper-base-random-v0")
+        []
     """
-    folder = minari_root.dataset_folder(dataset_id)
+    data = minari_root.dataset_folder(dataset_id) / "data"
+    if published:
+        # A missing entry fails before the work.
+        published_entry(dataset_id)
     findings = Findings()
     for _ in range(_ATTEMPTS):
         try:
-            before = minari_root.folder_identity(folder)
-            findings = _check_dataset(dataset_id, folder / "data", replay, jobs, backend, on_episode)
-            if not findings or before == minari_root.folder_identity(folder):
+            before = minari_root.folder_identity(data.parent)
+            metadata = read_metadata(data)
+            findings = child_process.check_apart(data, metadata, jobs if backend is None else 1)
+            if replay and findings.replayable:
+                findings += _replayed_by_jobs(data, metadata, jobs, backend, on_episode)
+            if metadata.get("dataset_id") != dataset_id:
+                stated = metadata.get("dataset_id")
+                findings.insert(0, differs("metadata.json/dataset_id", stated, f"{dataset_id!r}, its place"))
+            if not findings or before == minari_root.folder_identity(data.parent):
                 break
         except FileNotFoundError:
             raise not_in_root(dataset_id) from None
+    if published:
+        findings += compare_with_published(dataset_id, metadata)
+    findings.clip()
     return findings
 
 
-def _check_dataset(
-    dataset_id: str,
-    data: Path,
-    replay: bool,
-    jobs: int,
-    backend: str | None,
-    on_episode: Callable[[], None] | None,
-) -> Findings:
-    """Check the dataset that lies in the folder ``data`` now."""
-    checked = child_process.checked_apart(data, jobs if backend is None else 1)
-    if isinstance(checked, Finding):
-        # HDF5 killed or held the child. The digests of the files do not need HDF5.
-        metadata = read_metadata(data)
-        return Findings([*(digests.files(data, metadata) if metadata else ()), checked])
-    findings = checked.findings
-    if replay and checked.replayable:
-        if jobs == 1 and backend is None:
-            findings += _replayed(data, None, on_episode)
-        else:
-            findings += _replayed_by_jobs(data, jobs, backend, on_episode)
-    stated = read_metadata(data).get("dataset_id")
-    if stated != dataset_id:
-        findings.insert(
-            0,
-            Finding(
-                "metadata.json/dataset_id", f"is {shown(stated)}, but the dataset lies under {dataset_id!r}"
-            ),
-        )
-    return Findings(_first(findings, data), checked.exceptions)
-
-
-def inspect(
-    data: Path, *, replay_episodes: int | None = None, on_episode: Callable[[], None] | None = None
-) -> list[Finding]:
+def inspect(data: Path, *, replay_episodes: int | None = None, untrusted: bool = False) -> Findings:
     """Check the Minari storage in the folder ``data`` and return what is wrong with it.
 
     Args:
         data: the folder with ``main_data.hdf5`` and ``metadata.json``.
         replay_episodes: how many episodes to replay; None for all.
-        on_episode: called after each episode that was replayed.
+        untrusted: read the files in a child process with limits first, as :func:`verify` does.
     """
-    checked = check(data)
-    findings = checked.findings
-    if checked.replayable and replay_episodes != 0:
-        numbers = None if replay_episodes is None else range(replay_episodes)
-        findings += _replayed(data, numbers, on_episode)
-    return _first(findings, data)
+    metadata = read_metadata(data)
+    findings = child_process.check_apart(data, metadata) if untrusted else check(data, metadata)
+    if findings.replayable and replay_episodes != 0:
+        findings += _replayed(data, metadata, None if replay_episodes is None else range(replay_episodes))
+    findings.clip()
+    return findings
 
 
 def _replayed(
-    data: Path, numbers: range | None, on_episode: Callable[[], None] | None = None
+    data: Path, metadata: Mapping[str, Any], numbers: range | None, on_episode: _OnEpisode = None
 ) -> list[Finding]:
     """Replay the numbered episodes of a dataset that was checked, None for all; return what differs."""
     findings: list[Finding] = []
     try:
         with h5py.File(file_format.main_file(data), "r") as file:
-            chosen = (
-                range(len(file)) if numbers is None else range(numbers.start, min(numbers.stop, len(file)))
-            )
-            for finding in replay(file, chosen, dataset_models(read_metadata(data)), on_episode):
+            every = range(len(file))
+            chosen = every if numbers is None else every[numbers.start : numbers.stop]
+            for finding in replay(file, chosen, dataset_models(metadata), on_episode):
                 findings.append(finding)
                 if len(findings) >= MAX_FINDINGS:
                     break
@@ -140,9 +131,11 @@ def _replayed(
 
 
 def _replayed_by_jobs(
-    data: Path, jobs: int, backend: str | None, on_episode: Callable[[], None] | None
+    data: Path, metadata: Mapping[str, Any], jobs: int, backend: str | None, on_episode: _OnEpisode
 ) -> list[Finding]:
     """Replay all episodes in shares, and return what differs in their order."""
+    if jobs == 1 and backend is None:
+        return _replayed(data, metadata, None, on_episode)
     with h5py.File(file_format.main_file(data), "r") as file:
         episodes = len(file)
     # Several shares a job, so that none waits long for another at the end.
@@ -150,20 +143,14 @@ def _replayed_by_jobs(
     bounds = [round(bound) for bound in np.linspace(0, episodes, count + 1)]
     shares = [range(start, stop) for start, stop in pairwise(bounds)]
     found: dict[int, list[Finding]] = {}
-    work = partial(_replayed, data.absolute())
+    work = partial(_replayed, data.absolute(), metadata)
     for number, findings in run_jobs(work, shares, jobs=jobs, backend=backend):
         share = shares[number]
         if isinstance(findings, JobError):
-            where = f"episode_{share.start} to episode_{share.stop - 1}"
+            where = f"{file_format.episode_name(share.start)} to {file_format.episode_name(share.stop - 1)}"
             findings = [Finding(where, f"could not be replayed: {findings}")]
         found[number] = findings
         for _ in share:
             if on_episode is not None:
                 on_episode()
     return [finding for number in sorted(found) for finding in found[number]]
-
-
-def _first(findings: list[Finding], data: Path) -> list[Finding]:
-    if len(findings) < MAX_FINDINGS:
-        return findings
-    return [*findings[:MAX_FINDINGS], Finding(str(data), f"stopped after {MAX_FINDINGS} findings")]

@@ -1,8 +1,8 @@
 """Checks every part of an HDF5 file before it is read: its kind, its size and where its values are.
 
-A file from outside may claim any shape, refer to other files, or hold groups within groups without
-end. An episode that passes is handed on as an :class:`Episode`, so that each object is opened once: by
-h5py's low-level interface, which takes a fifth of the time.
+A file from outside may claim any shape, or refer to other files. An episode that passes is handed on as an
+:class:`Episode`, so that each object is opened once: by h5py's low-level interface, which takes a fifth of
+the time.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +25,8 @@ from imujoco_minari.verification.findings import Finding, shown
 MAX_ARRAY_BYTES = 2**26
 MAX_ATTRIBUTE_BYTES = 2**20
 MAX_ATTRIBUTES = 200
-# Arrays and groups of one episode, and how deep they nest: Minari's own are six, infos are a group more.
-MAX_OBJECTS, MAX_DEPTH = 100, 4
+# Arrays of one episode: this package writes five.
+MAX_ARRAYS = 100
 
 _TEXT = h5py.string_dtype()
 
@@ -73,18 +73,18 @@ class Episode:
         name: of its group, ``episode_<number>``.
         linked: it lies in another file, and its number is that of its source.
         attributes: of its group.
-        arrays: by their path below the group.
+        arrays: by name.
     """
 
     name: str
     linked: bool
     attributes: Mapping[str, Any]
-    arrays: dict[str, ReadableArray] = field(default_factory=dict)
+    arrays: Mapping[str, ReadableArray]
 
 
 def check_names(file: h5py.File) -> None:
     """Raise an :class:`UnreadableError` unless a file holds episodes, all of them, and nothing else."""
-    found, expected = set(file), {f"episode_{number}" for number in range(len(file))}
+    found, expected = set(file), set(map(file_format.episode_name, range(len(file))))
     if not found:
         raise UnreadableError(file_format.MAIN_FILE, "holds no episode")
     if found != expected:
@@ -98,7 +98,7 @@ def look(file: h5py.File, data: Path, number: int) -> Episode:
     Raises:
         UnreadableError: for links, odd types, and claims without bounds.
     """
-    name = f"episode_{number}"
+    name = file_format.episode_name(number)
     link = file.get(name, getlink=True)
     linked = not isinstance(link, h5py.HardLink)
     if linked:
@@ -106,9 +106,9 @@ def look(file: h5py.File, data: Path, number: int) -> Episode:
     group = file[name].id
     if not isinstance(group, h5py.h5g.GroupID):
         raise UnreadableError(name, "is no group")
-    episode = Episode(name, linked, attributes(group, name))
-    _look_below(group, name, "", episode.arrays, [0])
-    return episode
+    if len(group) > MAX_ARRAYS:
+        raise UnreadableError(name, f"holds more than {MAX_ARRAYS} arrays")
+    return Episode(name, linked, attributes(group, name), _arrays(group, name))
 
 
 def attributes(item: Any, where: str) -> dict[str, Any]:
@@ -156,46 +156,34 @@ def _follow(file: h5py.File, data: Path, name: str) -> None:
             raise UnreadableError(name, f"refers to what cannot be read: {str(error)[:120]}") from None
 
 
-def _look_below(
-    group: Any, where: str, prefix: str, arrays: dict[str, ReadableArray], seen: list[int]
-) -> None:
-    """Add the arrays below a group, within bounds of depth and number; hard links may go in circles."""
+def _arrays(group: Any, where: str) -> dict[str, ReadableArray]:
+    """Return the arrays of an episode, which holds nothing else."""
+    found = {}
     for raw in group:
         key = raw.decode("utf-8", "surrogateescape")
         place = f"{where}/{key}"
-        seen[0] += 1
-        if seen[0] > MAX_OBJECTS or prefix.count("/") >= MAX_DEPTH:
-            raise UnreadableError(
-                where, f"holds more than {MAX_OBJECTS} arrays, or nests deeper than {MAX_DEPTH}"
-            )
-        if group.links.get_info(raw).type != h5py.h5l.TYPE_HARD:
-            raise UnreadableError(place, "is a link to elsewhere, which an episode does not have")
-        item = h5py.h5o.open(group, raw)
-        if isinstance(item, h5py.h5g.GroupID):
-            attributes(item, place)
-            _look_below(item, place, f"{prefix}{key}/", arrays, seen)
-        elif isinstance(item, h5py.h5d.DatasetID):
-            found = ReadableArray(item, attributes(item, place))
-            _look_at(item, place)
-            arrays[f"{prefix}{key}"] = found
-        else:
-            raise UnreadableError(place, "is neither an array nor a group")
+        try:
+            containment.check_link(group, raw, place)
+            array = h5py.h5o.open(group, raw)
+            if not isinstance(array, h5py.h5d.DatasetID):
+                raise UnreadableError(place, "is no array")
+            containment.check_array(array, place)
+        except DatasetError as error:
+            raise UnreadableError(place, str(error).removeprefix(f"{place} ")) from None
+        _check_size(array, place)
+        found[key] = ReadableArray(array, attributes(array, place))
+    return found
 
 
-def _look_at(array: Any, where: str) -> None:
-    properties, shape, dtype = array.get_create_plist(), array.shape, array.dtype
-    try:
-        containment.check_array(array, where)
-    except DatasetError:
-        raise UnreadableError(where, "takes its values from another file") from None
+def _check_size(array: Any, where: str) -> None:
+    dtype, size = array.dtype, math.prod(array.shape) * array.dtype.itemsize
     if dtype.kind not in "fiub":
         raise UnreadableError(where, f"holds {dtype}, not numbers or flags")
     if array.get_space().get_simple_extent_type() == h5py.h5s.NULL:
         raise UnreadableError(where, "holds nothing")
-    size = math.prod(shape) * dtype.itemsize
     if size > MAX_ARRAY_BYTES:
         raise UnreadableError(where, f"claims more than {MAX_ARRAY_BYTES} bytes")
-    if properties.get_nfilters():
+    if array.get_create_plist().get_nfilters():
         raise UnreadableError(where, "is compressed or filtered, as no dataset of ours is")
     if array.get_storage_size() < size:
         raise UnreadableError(where, "claims more values than are stored")

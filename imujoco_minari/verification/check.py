@@ -15,11 +15,11 @@ from typing import Any
 import h5py
 
 from imujoco_minari.storage import file_format
-from imujoco_minari.storage.metadata import METADATA_FILE, read_metadata
+from imujoco_minari.storage.metadata import METADATA_FILE
 from imujoco_minari.variants.original import CATALOGUE, variant_of
 from imujoco_minari.verification import bounded_read, digests, expected, identity, structure
 from imujoco_minari.verification.expected import Content
-from imujoco_minari.verification.findings import MAX_FINDINGS, Checked, Finding, same, shown
+from imujoco_minari.verification.findings import MAX_FINDINGS, Finding, Findings, differing
 
 
 @dataclass
@@ -69,34 +69,40 @@ class PartialCheck:
         return cls(**values | {"findings": [Finding(**finding) for finding in values["findings"]]})
 
 
-def check(data: Path) -> Checked:
-    """Check the Minari storage in the folder ``data`` in all but the replay of its episodes."""
-    return merge(data, [check_part(data)])
+def check(data: Path, metadata: Mapping[str, Any]) -> Findings:
+    """Check the Minari storage in the folder ``data`` in all but the replay of its episodes.
+
+    Args:
+        data: the folder with ``main_data.hdf5`` and ``metadata.json``.
+        metadata: the content of ``metadata.json``.
+    """
+    return merge(data, metadata, [check_part(data, metadata)])
 
 
-def check_part(data: Path, number: int = 0, count: int = 1) -> PartialCheck:
-    """Check one of ``count`` parts of the storage in the folder ``data``; the first sees to the files too."""
+def check_part(data: Path, metadata: Mapping[str, Any], number: int = 0, count: int = 1) -> PartialCheck:
+    """Check one of ``count`` parts of the storage in the folder ``data``; the first checks the files too."""
     part = PartialCheck()
     try:
-        _check(part, data, number, count)
+        _check(part, data, metadata, number, count)
     except bounded_read.UnreadableError as error:
         part.findings.append(error.finding)
         part.readable = False
-    except Exception as error:  # h5py raises anything at all on a damaged file; none of it is ours
+    except Exception as error:  # h5py raises any kind of error on a damaged file
         part.findings.append(unreadable(data, error))
         part.readable = False
     return part
 
 
-def merge(data: Path, parts: Sequence[PartialCheck]) -> Checked:
+def merge(data: Path, metadata: Mapping[str, Any], parts: Sequence[PartialCheck]) -> Findings:
     """Return what the parts found, and what only the whole tells."""
-    findings = [finding for part in parts for finding in part.findings]
-    if not all(part.readable for part in parts):
-        return Checked(findings, replayable=False)
-    try:
-        return _check_whole(findings, data, parts)
-    except Exception as error:  # as above
-        return Checked([*findings, unreadable(data, error)], replayable=False)
+    findings = Findings((finding for part in parts for finding in part.findings), replayable=False)
+    if all(part.readable for part in parts):
+        try:
+            _check_whole(findings, data, metadata, parts)
+        except Exception as error:  # as above
+            findings.append(unreadable(data, error))
+            findings.replayable = False
+    return findings
 
 
 def unreadable(data: Path, error: Exception) -> Finding:
@@ -104,11 +110,10 @@ def unreadable(data: Path, error: Exception) -> Finding:
     return Finding(str(data), f"cannot be read: {type(error).__name__}: {str(error)[:200]}")
 
 
-def _check(part: PartialCheck, data: Path, number: int, count: int) -> None:
-    missing = [name for name in (METADATA_FILE, file_format.MAIN_FILE) if not (data / name).is_file()]
-    if missing:
-        raise bounded_read.UnreadableError(missing[0], "is missing")
-    metadata = read_metadata(data)
+def _check(part: PartialCheck, data: Path, metadata: Mapping[str, Any], number: int, count: int) -> None:
+    for name in (METADATA_FILE, file_format.MAIN_FILE):
+        if not (data / name).is_file():
+            raise bounded_read.UnreadableError(name, "is missing")
     if not metadata:
         raise bounded_read.UnreadableError(METADATA_FILE, "is no JSON object")
     if number == 0:
@@ -157,20 +162,17 @@ def _check_episode(
     part.intact &= not changed
 
 
-def _check_whole(findings: list[Finding], data: Path, parts: Sequence[PartialCheck]) -> Checked:
+def _check_whole(
+    findings: Findings, data: Path, metadata: Mapping[str, Any], parts: Sequence[PartialCheck]
+) -> None:
     """Add what the whole tells to the findings."""
-    metadata = read_metadata(data)
-    obstacles = []
     totals = {"total_episodes": parts[0].episodes, "total_steps": sum(part.steps for part in parts)}
-    for key, value in totals.items():
-        if not same(metadata.get(key), value):
-            what = f"is {shown(metadata.get(key))}, but the file holds {value}"
-            obstacles.append(Finding(f"metadata.json/{key}", what))
+    obstacles = list(differing("metadata.json/", metadata, totals, ", as in the file"))
     findings += obstacles
     named = [named for part in parts for named in part.identities]
     whole = named and all(part.sound for part in parts)
     if obstacles or any(identity.loadable(metadata)) or not whole:
-        return Checked(findings, replayable=False)
+        return
     with h5py.File(file_format.main_file(data), "r") as file:
         root = bounded_read.attributes(file.id, "")
     sealed = [digest for part in parts for digest in part.digests]
@@ -183,8 +185,8 @@ def _check_whole(findings: list[Finding], data: Path, parts: Sequence[PartialChe
         repeated=len(sealed) - len(set(sealed)),
     )
     findings += identity.whole(root, metadata, content)
-    compared, exceptions = expected.compare(metadata, content)
-    findings += compared
+    findings += expected.compare(metadata, content)
+    findings.exceptions = tuple(expected.exceptions(metadata, content))
     if all(part.intact for part in parts):
         findings += digests.whole(sealed, root, metadata, all(part.linked for part in parts))
-    return Checked(findings, replayable=True, exceptions=exceptions)
+    findings.replayable = True

@@ -10,7 +10,9 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import h5py
 
@@ -18,8 +20,9 @@ from imujoco_minari.errors import JobError
 from imujoco_minari.limits import run_all_limited
 from imujoco_minari.storage import file_format
 from imujoco_minari.storage.metadata import read_metadata
+from imujoco_minari.verification import digests
 from imujoco_minari.verification.check import PartialCheck, check_part, merge
-from imujoco_minari.verification.findings import Checked, Finding
+from imujoco_minari.verification.findings import Finding, Findings
 
 MAX_MEMORY_BYTES = 2**33
 # Processor time for any file, and bytes for which a second more is given.
@@ -33,8 +36,8 @@ _WALK = "imujoco_minari.verification.child_process:walk_apart"
 
 def survives(data: Path) -> Finding | None:
     """Read a dataset in a child process; return what became of that, or None when it survived."""
-    checked = checked_apart(data)
-    return checked if isinstance(checked, Finding) else None
+    parts = _checked_parts(data, 1)
+    return parts if isinstance(parts, Finding) else None
 
 
 def survives_walk(path: Path) -> Finding | None:
@@ -43,15 +46,26 @@ def survives_walk(path: Path) -> Finding | None:
     return result if isinstance(result, Finding) else None
 
 
-def checked_apart(data: Path, jobs: int = 1) -> Checked | Finding:
-    """Check a dataset in child processes and return what they found, or what became of one of them.
+def check_apart(data: Path, metadata: Mapping[str, Any], jobs: int = 1) -> Findings:
+    """Check a dataset as :func:`~imujoco_minari.verification.check.check` does, in child processes.
 
     Args:
         data: the folder of the dataset's storage.
+        metadata: the content of its ``metadata.json``.
         jobs: how many children at once, each with a part of the episodes.
     """
-    stated = read_metadata(data).get("total_episodes")
+    stated = metadata.get("total_episodes")
     count = max(1, min(jobs, stated // _EPISODES_A_CHILD)) if isinstance(stated, int) else 1
+    parts = _checked_parts(data, count)
+    if not isinstance(parts, Finding):
+        return merge(data, metadata, parts)
+    # HDF5 killed or held a child. The digests of the files do not need HDF5.
+    readable = metadata and file_format.main_file(data).is_file()
+    return Findings([*(digests.files(data, metadata) if readable else ()), parts], replayable=False)
+
+
+def _checked_parts(data: Path, count: int) -> list[PartialCheck] | Finding:
+    """Check a dataset in ``count`` child processes; return their parts, or what became of one of them."""
     arguments = [json.dumps([str(data.absolute()), number, count]) for number in range(count)]
     parts = []
     for result in _apart(_CHECK, arguments, file_format.main_file(data)):
@@ -59,14 +73,14 @@ def checked_apart(data: Path, jobs: int = 1) -> Checked | Finding:
         if isinstance(part, Finding):
             return part
         parts.append(part)
-    return merge(data, parts)
+    return parts
 
 
 def check_part_apart(argument: str) -> bytes:
     """Check a part of a dataset: what a child process runs."""
     _without_prefixes()
     place, number, count = json.loads(argument)
-    return check_part(Path(place), number, count).to_json().encode()
+    return check_part(Path(place), read_metadata(Path(place)), number, count).to_json().encode()
 
 
 def walk_apart(place: str) -> bytes:

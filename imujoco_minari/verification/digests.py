@@ -8,19 +8,17 @@ from pathlib import Path
 from typing import Any
 
 from imujoco_minari.storage import file_format
+from imujoco_minari.storage.metadata import sources
 from imujoco_minari.verification.bounded_read import Episode
-from imujoco_minari.verification.findings import Finding, same, shown
+from imujoco_minari.verification.findings import Finding, differing, differs, same, shown
 
 
 def files(data: Path, metadata: Mapping[str, Any]) -> Iterator[Finding]:
     """Report files that have changed since they were sealed, in whatever byte."""
+    main_file = file_format.main_file(data)
     for key, name, digest in (
         (file_format.METADATA_DIGEST, "metadata.json", file_format.metadata_sha256(metadata)),
-        (
-            file_format.FILE_DIGEST,
-            file_format.MAIN_FILE,
-            file_format.file_sha256(file_format.main_file(data)),
-        ),
+        (file_format.FILE_DIGEST, file_format.MAIN_FILE, file_format.file_sha256(main_file)),
     ):
         if key not in metadata:
             yield Finding(f"metadata.json/{key}", "is missing")
@@ -62,13 +60,9 @@ def whole(
     if linked:
         yield from _linked(episodes, metadata)
         return
-    digest = file_format.dataset_sha256(episodes)
-    for where, stated in (
-        ("@content_sha256", root.get("content_sha256")),
-        ("metadata.json/content_sha256", metadata.get("content_sha256")),
-    ):
-        if not same(stated, digest):
-            yield Finding(where, f"is {shown(stated)}, but the content's is {digest}")
+    digest = {"content_sha256": file_format.dataset_sha256(episodes)}
+    yield from differing("@", root, digest)
+    yield from differing("metadata.json/", metadata, digest)
 
 
 def _linked(episodes: Sequence[str], metadata: Mapping[str, Any]) -> Iterator[Finding]:
@@ -79,18 +73,16 @@ def _linked(episodes: Sequence[str], metadata: Mapping[str, Any]) -> Iterator[Fi
         # Collections made by the first version do not state it.
         return
     try:
-        counts, digests = (
-            [int(count) for count, _ in stated or []],
-            [str(digest) for _, digest in stated or []],
-        )
+        counts = [int(count) for count, _ in stated or []]
+        digests = [str(digest) for _, digest in stated or []]
     except (TypeError, ValueError):
         counts, digests = [], []
     if sum(counts) != len(episodes) or min(counts, default=0) < 0:
-        yield Finding(where, f"is {shown(stated)}, which does not describe {len(episodes)} episodes")
+        yield differs(where, stated, f"a description of {len(episodes)} episodes")
         return
     ends = list(accumulate(counts))
-    names = metadata.get("combined_datasets")
+    names = sources(metadata)
     for number, (start, end, digest) in enumerate(zip([0, *ends], ends, digests, strict=False)):
         if file_format.dataset_sha256(episodes[start:end]) != digest:
-            source = names[number] if isinstance(names, list) and number < len(names) else number
+            source = names[number] if number < len(names) else number
             yield Finding(where, f"{shown(source)} was replaced since the collection linked to it")

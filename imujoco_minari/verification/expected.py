@@ -6,7 +6,6 @@ does not follow, because it is not known here, is an exception: the result of th
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,10 +19,10 @@ from imujoco_minari.policies.references import reference_scores
 from imujoco_minari.policies.rollouts import episode_seed
 from imujoco_minari.policies.tiers import RECORDED, TierPart, parts
 from imujoco_minari.storage import file_format
-from imujoco_minari.storage.metadata import PACKAGES, code_address, requirements
+from imujoco_minari.storage.metadata import PACKAGES, code_address, requirements, sources
 from imujoco_minari.variants import NAMESPACE, Variant, specification
 from imujoco_minari.variants.original import OriginalVariant, names_variant
-from imujoco_minari.verification.findings import Finding, plain, shown
+from imujoco_minari.verification.findings import Finding, differing, differs, plain, shown
 
 _POLICY_DIGESTS = re.compile(r"[0-9a-f]{64}(,[0-9a-f]{64})*", re.ASCII)
 _POLICY_ATTRIBUTES = ("part", "policy_return", "rank", "rung")
@@ -87,7 +86,7 @@ def policy_attributes(attributes: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def sources(metadata: Mapping[str, Any], variant: Variant, tier: str) -> list[str]:
+def possible_sources(metadata: Mapping[str, Any], variant: Variant, tier: str) -> list[str]:
     """Return the datasets that an episode may name as its source.
 
     Raises:
@@ -95,8 +94,7 @@ def sources(metadata: Mapping[str, Any], variant: Variant, tier: str) -> list[st
     """
     if is_randomised(metadata):
         return [str(metadata.get("dataset_id"))]
-    combined = metadata["combined_datasets"] if is_collection(metadata) else []
-    return list(dict.fromkeys([variant.dataset_id(tier), *(combined if isinstance(combined, list) else ())]))
+    return list(dict.fromkeys([variant.dataset_id(tier), *sources(metadata)]))
 
 
 def spaces(robot: str) -> dict[str, Any]:
@@ -117,50 +115,33 @@ def spaces(robot: str) -> dict[str, Any]:
     }
 
 
-def compare(metadata: Mapping[str, Any], content: Content) -> tuple[list[Finding], list[str]]:
-    """Compare the metadata of a dataset with what this package would write.
-
-    Returns:
-        The keys that are not as expected, and what cannot be checked, in words that follow "sound, but".
-    """
-    exceptions = list(_exceptions(metadata, content))
+def compare(metadata: Mapping[str, Any], content: Content) -> Iterator[Finding]:
+    """Report the metadata of a dataset that this package would have written otherwise."""
     expected = _identity(metadata, content) | _versions(metadata, content)
     # Collections and datasets of earlier versions state no returns.
     statistics = file_format.return_statistics(content.returns)
     expected |= {key: value for key, value in statistics.items() if key in metadata}
-    found: list[Finding] = []
     if not is_collection(metadata):
         variant, tier = content.identities[0]
         if is_randomised(metadata):
             # The policies are those of the unchanged robot.
             variant = variant.base
-        imported = content.unreplayed > 0
-        found += _origin(metadata, imported)
+        yield from _origin(metadata, imported=content.unreplayed > 0)
         expected |= _shape_of_references(metadata)
         known = _known_parts(variant, tier, metadata)
         if known is not None:
             expected["algorithm_name"] = ", ".join(dict.fromkeys(part.policy.algorithm for part in known))
             expected["policy_deterministic"] = all(part.policy.deterministic for part in known)
-            found += _runs(content.runs, known)
-        elif "policy_sha256" in metadata:
-            exceptions.append("the policy that made it is not known here")
-        references = {} if is_randomised(metadata) else _references(variant)
-        stated = {key: metadata.get(key) for key in references}
-        if references and str(expert_record(variant).get("weights_sha256")) in _policies(metadata):
-            expected |= references
-        elif is_randomised(metadata):
+            yield from _runs(content.runs, known)
+        if is_randomised(metadata):
             expected |= dict.fromkeys(score for score, _, _ in _REFERENCES)
-        elif not references or not _equal(stated, references):
-            exceptions.append("its reference scores are not known here")
-    found += [
-        Finding(f"metadata.json/{key}", f"is {shown(metadata.get(key))}, not {shown(value)}")
-        for key, value in expected.items()
-        if not _equal(metadata.get(key), value)
-    ]
-    return found, exceptions
+        elif _made_by_expert(variant, metadata):
+            expected |= _references(variant)
+    yield from differing("metadata.json/", metadata, expected)
 
 
-def _exceptions(metadata: Mapping[str, Any], content: Content) -> Iterator[str]:
+def exceptions(metadata: Mapping[str, Any], content: Content) -> Iterator[str]:
+    """Say what cannot be checked of a dataset, in words that follow "sound, but"."""
     if content.unreplayed == content.episodes:
         yield "not replayed: it was imported without seeds"
     elif content.unreplayed:
@@ -176,6 +157,15 @@ def _exceptions(metadata: Mapping[str, Any], content: Content) -> Iterator[str]:
         yield "it is a collection under the id of a variant"
     if is_recorded(metadata):
         yield "it records a training run, whose seeds are its own"
+    if not is_collection(metadata):
+        variant, tier = content.identities[0]
+        variant = variant.base if is_randomised(metadata) else variant
+        if "policy_sha256" in metadata and _known_parts(variant, tier, metadata) is None:
+            yield "the policy that made it is not known here"
+        references = _references(variant)
+        as_expected = references and not any(differing("", metadata, references))
+        if not (as_expected or is_randomised(metadata) or _made_by_expert(variant, metadata)):
+            yield "its reference scores are not known here"
 
 
 def _identity(metadata: Mapping[str, Any], content: Content) -> dict[str, Any]:
@@ -228,25 +218,22 @@ def _versions(metadata: Mapping[str, Any], content: Content) -> dict[str, Any]:
     return expected
 
 
-def _origin(metadata: Mapping[str, Any], imported: bool) -> Iterator[Finding]:
+def _origin(metadata: Mapping[str, Any], *, imported: bool) -> Iterator[Finding]:
     """Report a dataset that does not state where its episodes come from."""
+    seed, policies, deterministic, source = map(
+        metadata.get, ("seed", "policy_sha256", "policy_deterministic", "source")
+    )
     if imported:
-        if not isinstance(metadata.get("source"), str):
-            yield Finding(
-                "metadata.json/source", "is missing, but the episodes state that they were imported"
-            )
-        for key in ("seed", "policy_sha256"):
-            if key in metadata:
-                yield Finding(f"metadata.json/{key}", "is stated, but the episodes have no seeds")
+        if not isinstance(source, str):
+            yield differs("metadata.json/source", source, "a text, as imported episodes have")
+        yield from differing("metadata.json/", metadata, {"seed": None, "policy_sha256": None})
         return
-    if not _is_count(metadata.get("seed")):
-        yield Finding("metadata.json/seed", f"is {shown(metadata.get('seed'))}, not a base seed")
+    if not _is_count(seed):
+        yield differs("metadata.json/seed", seed, "a base seed")
     if not is_recorded(metadata) and not _policies(metadata):
-        stated = shown(metadata.get("policy_sha256"))
-        yield Finding("metadata.json/policy_sha256", f"is {stated}, not the digest of a policy")
-    if not isinstance(metadata.get("policy_deterministic"), bool):
-        stated = shown(metadata.get("policy_deterministic"))
-        yield Finding("metadata.json/policy_deterministic", f"is {stated}, not true or false")
+        yield differs("metadata.json/policy_sha256", policies, "the digest of a policy")
+    if not isinstance(deterministic, bool):
+        yield differs("metadata.json/policy_deterministic", deterministic, "true or false")
 
 
 def _policies(metadata: Mapping[str, Any]) -> list[str]:
@@ -276,12 +263,21 @@ def _runs(runs: Sequence[tuple[int, Mapping[str, Any]]], known: Sequence[TierPar
             # The run before may go on into this part.
             if (inside or (start < first and _next(runs, start) > first)) and attributes != part.attributes:
                 wanted = shown(dict(part.attributes))
-                yield Finding(f"episode_{max(start, first)}@", f"states {shown(attributes)}, not {wanted}")
+                yield Finding(
+                    f"{file_format.episode_name(max(start, first))}@",
+                    f"states {shown(attributes)}, not {wanted}",
+                )
         first += part.episodes
 
 
 def _next(runs: Sequence[tuple[int, Mapping[str, Any]]], start: int) -> float:
     return min((other for other, _ in runs if other > start), default=float("inf"))
+
+
+def _made_by_expert(variant: Variant, metadata: Mapping[str, Any]) -> bool:
+    """Return whether the expert that is known here made a dataset, so that its references are known too."""
+    expert = {} if isinstance(variant, OriginalVariant) else expert_record(variant)
+    return "random" in expert and str(expert.get("weights_sha256")) in _policies(metadata)
 
 
 def _references(variant: Variant) -> dict[str, Any]:
@@ -306,8 +302,3 @@ def _is_count(value: Any) -> TypeGuard[int]:
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < float("inf")
-
-
-def _equal(stated: Any, expected: Any) -> bool:
-    """Return whether two JSON values are equal, type by type."""
-    return json.dumps(stated, sort_keys=True) == json.dumps(expected, sort_keys=True)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,31 +25,45 @@ class Finding:
         return f"{self.where}: {self.what}"
 
 
-@dataclass(frozen=True)
-class Checked:
-    """What is wrong with a dataset but for its replay.
-
-    Attributes:
-        findings: what is wrong.
-        replayable: whether its episodes are whole enough for a replay.
-        exceptions: what cannot be checked.
-    """
-
-    findings: list[Finding]
-    replayable: bool
-    exceptions: Sequence[str] = ()
-
-
 class Findings(list[Finding]):
     """What is wrong with a dataset; empty for a sound one.
 
     Attributes:
         exceptions: what cannot be checked of it, in words that follow "sound, but".
+        replayable: whether its episodes are complete enough for a replay.
     """
 
-    def __init__(self, findings: Iterable[Finding] = (), exceptions: Sequence[str] = ()) -> None:
+    def __init__(
+        self, findings: Iterable[Finding] = (), exceptions: Sequence[str] = (), *, replayable: bool = True
+    ) -> None:
         super().__init__(findings)
-        self.exceptions = tuple(exceptions)
+        self.exceptions, self.replayable = tuple(exceptions), replayable
+
+    def clip(self) -> None:
+        """Keep the first findings, and state that there may be more."""
+        if len(self) >= MAX_FINDINGS:
+            self[MAX_FINDINGS:] = [Finding("the check", f"stopped after {MAX_FINDINGS} findings")]
+
+
+def differs(where: str, value: Any, valid: str) -> Finding:
+    """Return the finding that a value is not valid; ``valid`` says what would be."""
+    return Finding(where, f"is {shown(value)}, not {valid}")
+
+
+def differing(
+    place: str, stated: Mapping[str, Any], expected: Mapping[str, Any], reason: str = ""
+) -> Iterator[Finding]:
+    """Report the keys whose values are not as expected.
+
+    Args:
+        place: what the keys belong to, as in ``metadata.json/`` or ``episode_0@``.
+        stated: values that may be anything, or lack keys. A missing value counts as None.
+        expected: the values that they must have.
+        reason: words that follow the expected value.
+    """
+    for key, value in expected.items():
+        if not same(stated.get(key), value):
+            yield differs(f"{place}{key}", stated.get(key), shown(value) + reason)
 
 
 def plain(value: Any) -> Any:
@@ -57,15 +72,16 @@ def plain(value: Any) -> Any:
 
 
 def same(value: Any, expected: Any) -> bool:
-    """Return whether a value, which may be anything, is ``expected``, a scalar or None."""
-    value = plain(value)
-    if expected is None or value is None:
-        return value is expected
-    if isinstance(value, bool) != isinstance(expected, bool):
+    """Return whether a value, which may be anything, is the expected JSON value, type by type."""
+    value, expected = plain(value), plain(expected)
+    if type(value) is type(expected) and isinstance(value, str | int):
+        return bool(value == expected)
+    try:
+        return json.dumps(value, sort_keys=True) == json.dumps(expected, sort_keys=True)
+    except (TypeError, ValueError, RecursionError):
         return False
-    return isinstance(value, str | int | float) and bool(value == expected)
 
 
 def shown(value: Any) -> str:
     """Return ``value`` as a message quotes it, however long it is."""
-    return clipped(repr(plain(value)))
+    return "missing" if value is None else clipped(repr(plain(value)))

@@ -27,47 +27,32 @@ from imujoco_minari.variants.original import CATALOGUE, variant_of
 from imujoco_minari.verification import expected, structure
 from imujoco_minari.verification.bounded_read import Episode
 from imujoco_minari.verification.expected import Content
-from imujoco_minari.verification.findings import Finding, plain, same, shown
+from imujoco_minari.verification.findings import Finding, differing, differs, plain, same, shown
 from imujoco_minari.verification.replay import simulator
-
-_SPACES = ("observation_space", "action_space")
 
 
 def loadable(metadata: Mapping[str, Any]) -> Iterator[Finding]:
     """Report metadata with which stock Minari could not load the dataset, or would run what is not ours."""
-    if metadata.get("data_format") != "hdf5":
-        yield Finding("metadata.json/data_format", f"is {shown(metadata.get('data_format'))}, not 'hdf5'")
-    for key in ("dataset_id", "minari_version"):
+    yield from differing("metadata.json/", metadata, {"data_format": "hdf5"})
+    if metadata.get("minari_version") not in list(supported_dataset_versions):
+        version = metadata.get("minari_version")
+        yield differs("metadata.json/minari_version", version, "a version that the installed Minari loads")
+    for key in ("dataset_id", "algorithm_name", "code_permalink", "description"):
         if not isinstance(metadata.get(key), str):
-            yield Finding(f"metadata.json/{key}", f"is {shown(metadata.get(key))}, not a text")
-    for key, space in zip(_SPACES, map(metadata.get, _SPACES), strict=True):
-        if not _is_box(space):
-            yield Finding(
-                f"metadata.json/{key}",
-                "is no Box of floats" if key in metadata else "is missing: Minari would make the environment",
-            )
+            yield differs(f"metadata.json/{key}", metadata.get(key), "a text")
+    for key in ("author", "requirements", *({"combined_datasets"} & metadata.keys())):
+        value = metadata.get(key)
+        if not isinstance(value, list) or not value or not all(isinstance(one, str) for one in value):
+            yield differs(f"metadata.json/{key}", value, "a list of texts")
+    for key in ("observation_space", "action_space"):
+        if key not in metadata:
+            yield Finding(f"metadata.json/{key}", "is missing: Minari would make the environment")
+        elif not _is_box(metadata[key]):
+            yield differs(f"metadata.json/{key}", metadata[key], "a Box of floats")
     if metadata.get("env_spec") is not None:
         yield from _env_spec("metadata.json/env_spec", metadata["env_spec"])
     if metadata.get("eval_env_spec") is not None:
         yield Finding("metadata.json/eval_env_spec", "is not written by this package: do not load it")
-    yield from _types(metadata)
-
-
-def _types(metadata: Mapping[str, Any]) -> Iterator[Finding]:
-    """Report values with which Minari, or a reader of its metadata, fails."""
-    if metadata.get("minari_version") not in sorted(supported_dataset_versions):
-        version = shown(metadata.get("minari_version"))
-        yield Finding(
-            "metadata.json/minari_version", f"is {version}, which the installed Minari does not load"
-        )
-    for key in ("algorithm_name", "code_permalink", "description"):
-        if not isinstance(metadata.get(key), str):
-            yield Finding(f"metadata.json/{key}", f"is {shown(metadata.get(key))}, not a text")
-    combined = ("combined_datasets",) if "combined_datasets" in metadata else ()
-    for key in ("author", "requirements", *combined):
-        value = metadata.get(key)
-        if not isinstance(value, list) or not value or not all(isinstance(one, str) for one in value):
-            yield Finding(f"metadata.json/{key}", f"is {shown(value)}, not a list of texts")
 
 
 def dataset_models(metadata: Mapping[str, Any]) -> dict[str, str]:
@@ -137,37 +122,28 @@ def episode(
     """
     attrs, name = found.attributes, found.name
     if variant is None:
-        yield Finding(f"{name}@variant", f"is {shown(attrs.get('variant'))}, which is no variant")
+        yield differs(f"{name}@variant", attrs.get("variant"), "a variant")
         return
     tier = str(attrs.get("tier"))
-    for key, value in file_format.attributes(variant, tier).items():
-        if not same(attrs.get(key), value):
-            yield Finding(f"{name}@{key}", f"is {shown(attrs.get(key))}, not {value!r}")
+    yield from differing(f"{name}@", attrs, file_format.attributes(variant, tier))
     try:
-        possible = expected.sources(metadata, variant, tier)
+        possible = expected.possible_sources(metadata, variant, tier)
     except VariantError as error:
         yield Finding(f"{name}@tier", str(error))
         return
     if "source" in attrs and not any(same(attrs["source"], one) for one in possible):
-        yield Finding(f"{name}@source", f"is {shown(attrs['source'])}, not {' or '.join(possible)}")
-    if file_format.REPLAYABLE in attrs and structure.is_replayed(attrs):
-        stated = shown(attrs[file_format.REPLAYABLE])
-        yield Finding(f"{name}@{file_format.REPLAYABLE}", f"is {stated}; valid: False, or nothing")
+        yield differs(f"{name}@source", attrs["source"], " or ".join(possible))
+    replayed = structure.is_replayed(attrs)
+    if file_format.REPLAYABLE in attrs and replayed:
+        yield differs(f"{name}@{file_format.REPLAYABLE}", attrs[file_format.REPLAYABLE], "False, or missing")
     seed = expected.seed(metadata, number)
-    if structure.is_replayed(attrs) and seed is not None and not same(attrs.get("seed"), seed):
-        yield Finding(
-            f"{name}@seed", f"is {shown(attrs.get('seed'))}, but the base seed gives {seed} to this episode"
-        )
-    if expected.is_collection(metadata):
-        return
+    if replayed and seed is not None:
+        yield from differing(f"{name}@", attrs, {"seed": seed}, ", as the base seed gives to this episode")
     if expected.is_randomised(metadata):
         yield from _drawn(name, attrs, variant, root, metadata)
-        return
-    for key in ("variant", "tier", CATALOGUE, file_format.REPLAYABLE):
-        if not same(attrs.get(key), plain(root.get(key))):
-            yield Finding(
-                f"{name}@{key}", f"is {shown(attrs.get(key))}, but the dataset's is {shown(root.get(key))}"
-            )
+    elif not expected.is_collection(metadata):
+        shared = {key: root.get(key) for key in ("variant", "tier", CATALOGUE, file_format.REPLAYABLE)}
+        yield from differing(f"{name}@", attrs, shared, ", as in the file's attributes")
 
 
 def _drawn(
@@ -185,24 +161,19 @@ def _drawn(
         yield Finding("metadata.json/ranges", f"draw no variant for {name}: {shown(str(error))}")
         return
     if drawn != variant:
-        yield Finding(f"{name}@variant", f"is {shown(str(variant))}, but its seed draws {drawn}")
-    if not same(attrs.get("tier"), plain(root.get("tier"))):
-        yield Finding(
-            f"{name}@tier", f"is {shown(attrs.get('tier'))}, but the dataset's is {shown(root.get('tier'))}"
-        )
+        yield differs(f"{name}@variant", str(variant), f"{drawn}, which its seed draws")
+    yield from differing(f"{name}@", attrs, {"tier": root.get("tier")}, ", as in the file's attributes")
 
 
 def whole(root: Mapping[str, Any], metadata: Mapping[str, Any], content: Content) -> Iterator[Finding]:
     """Report attributes of root and metadata that contradict each other or the episodes."""
     variants = list(dict.fromkeys(variant for variant, _ in content.identities))
-    for key, space in expected.spaces(variants[0].robot).items():
-        if json.loads(metadata[key]) != space:
-            yield Finding(f"metadata.json/{key}", f"is {shown(metadata[key])}, not that of the variant")
+    spaces = {key: json.loads(metadata[key]) for key in ("observation_space", "action_space")}
+    yield from differing("metadata.json/", spaces, expected.spaces(variants[0].robot))
     yield from _environment(root, metadata, variants)
     if expected.is_collection(metadata):
-        for key in file_format.IDENTITY:
-            if not same(metadata.get(key), plain(root.get(key))):
-                yield Finding(f"@{key}", f"is {shown(root.get(key))}, but the metadata's is another")
+        shared = {key: metadata.get(key) for key in file_format.IDENTITY}
+        yield from differing("@", root, shared, ", as in the metadata")
     else:
         yield from _root(root, metadata)
 
@@ -223,11 +194,8 @@ def _environment(
     except (VariantError, DrawingError) as error:
         yield Finding("metadata.json/env_spec", f"is not the variant's: {error}")
         return
-    for key in sorted(wanted.keys() | spec.keys()):
-        if spec.get(key) != wanted.get(key):
-            yield Finding(
-                "metadata.json/env_spec", f"has the {key} {shown(spec.get(key))}, which is not the variant's"
-            )
+    every = {key: wanted.get(key) for key in sorted(wanted.keys() | spec.keys())}
+    yield from differing("metadata.json/env_spec/", spec, every, ", as the variant's environment has")
 
 
 def _spec(
@@ -249,22 +217,14 @@ def _root(root: Mapping[str, Any], metadata: Mapping[str, Any]) -> Iterator[Find
         yield Finding(file_format.MAIN_FILE, f"lacks a true attribute of its variant: {str(error)[:120]}")
         return
     tier = str(root.get("tier"))
-    wanted = (
+    named = (
         file_format.attributes(variant, tier)
         if ranges is None
         else file_format.ranges_attributes(ranges, tier)
     )
-    for key, value in wanted.items():
-        if not same(root.get(key), value):
-            yield Finding(f"@{key}", f"is {shown(root.get(key))}, not {value!r}")
-    for key in (*wanted, CATALOGUE, file_format.REPLAYABLE):
-        if not same(metadata.get(key), plain(root.get(key))):
-            yield Finding(
-                f"metadata.json/{key}",
-                f"is {shown(metadata.get(key))}, but the file's is {shown(root.get(key))}",
-            )
-    if metadata.get("mjcf_sha256") != digest:
-        yield Finding("metadata.json/mjcf_sha256", f"is {shown(metadata.get('mjcf_sha256'))}, not {digest}")
+    yield from differing("@", root, named)
+    shared = {key: root.get(key) for key in (*named, CATALOGUE, file_format.REPLAYABLE, "mjcf_sha256")}
+    yield from differing("metadata.json/", metadata, shared, ", as in the file's attributes")
     if mjcf_sha256(text) != digest:
         yield Finding("@mjcf", "does not have the digest that mjcf_sha256 states")
     elif text != model_text(variant, text):

@@ -38,12 +38,13 @@ def replay(
     environments: dict[str, gym.Env[Any, Any]] = {}
     try:
         for number in episodes:
-            group = file[f"episode_{number}"]
-            name = str(group.attrs["variant"])
-            if is_replayed(group.attrs):
-                if name not in environments:
-                    environments[name] = make(variant_of(group.attrs), models.get(name))
-                yield from _replay_episode(group, f"episode_{number}", environments[name])
+            name = file_format.episode_name(number)
+            attributes = file[name].attrs
+            variant = str(attributes["variant"])
+            if is_replayed(attributes):
+                if variant not in environments:
+                    environments[variant] = make(variant_of(attributes), models.get(variant))
+                yield from _replay_episode(file[name], name, environments[variant])
             if on_episode is not None:
                 on_episode()
     finally:

@@ -10,7 +10,7 @@ import numpy as np
 from imujoco_minari.storage import file_format
 from imujoco_minari.variants import known_robots, specification
 from imujoco_minari.verification.bounded_read import Episode
-from imujoco_minari.verification.findings import Finding, same, shown
+from imujoco_minari.verification.findings import Finding, differing, differs, same
 
 # What the environments give. A replay in another type would round both sides before it compares them.
 _TYPES: dict[str, np.dtype[Any]] = {
@@ -51,11 +51,9 @@ def arrays(episode: Episode) -> Iterator[Finding]:
     for key in file_format.ARRAYS:
         array, expected = episode.arrays[key], shapes.get(key, (steps,))
         if array.shape != expected or array.dtype != _TYPES[key]:
-            yield Finding(
-                f"{episode.name}/{key}",
-                f"holds {array.dtype} of shape {array.shape}, not "
-                f"{'flags' if _TYPES[key].kind == 'b' else _TYPES[key]} of shape {expected}",
-            )
+            kind = "flags" if _TYPES[key].kind == "b" else _TYPES[key]
+            what = f"holds {array.dtype} of shape {array.shape}, not {kind} of shape {expected}"
+            yield Finding(f"{episode.name}/{key}", what)
             return
 
 
@@ -78,17 +76,13 @@ def values(episode: Episode, number: int, read: Mapping[str, Any]) -> Iterator[F
         yield Finding(name, "goes on after a termination or truncation")
     if not ends[-1]:
         yield Finding(name, "ends without a termination or truncation")
-    # A linked episode is its source's, number and all.
-    if not episode.linked and not same(attrs.get("id"), number):
-        yield Finding(f"{name}@id", f"is {shown(attrs.get('id'))}, not {number}")
-    rewards = read["rewards"]
-    if not same(attrs.get("total_steps"), len(rewards)):
-        yield Finding(f"{name}@total_steps", f"is {shown(attrs.get('total_steps'))}, not {len(rewards)}")
-    seed = attrs.get("seed")
-    if not is_replayed(attrs) and "seed" in attrs:
-        yield Finding(f"{name}@seed", "is stated, but the episode states that it has none")
+    rewards, seed = read["rewards"], attrs.get("seed")
+    # A linked episode has the number that it has in its source.
+    wanted: dict[str, int | None] = {} if episode.linked else {"id": number}
+    wanted |= {"total_steps": len(rewards)} | ({} if is_replayed(attrs) else {"seed": None})
+    yield from differing(f"{name}@", attrs, wanted)
     if is_replayed(attrs) and (not isinstance(seed, np.integer) or not 0 <= seed < 2**63):
-        yield Finding(f"{name}@seed", f"is {shown(seed)}, so the episode cannot be replayed")
+        yield differs(f"{name}@seed", seed, "a seed, so the episode cannot be replayed")
     for key in ("observations", "actions", "rewards"):
         if not np.isfinite(read[key]).all():
             yield Finding(f"{name}/{key}", "holds values that are not finite")
@@ -98,6 +92,4 @@ def values(episode: Episode, number: int, read: Mapping[str, Any]) -> Iterator[F
         # As numpy.isclose has it, at a fiftieth of its cost.
         tolerance = 1e-8 + 1e-9 * abs(value)
         if not (isinstance(stated, np.floating | np.integer) and abs(stated - value) <= tolerance):
-            yield Finding(
-                f"{name}@rewards_{statistic}", f"is {shown(stated)}, but the rewards' {statistic} is {value}"
-            )
+            yield differs(f"{name}@rewards_{statistic}", stated, f"{value}")

@@ -28,6 +28,7 @@ from imujoco_minari.remotes import card, connecting, pulling, pushing, stores
 from imujoco_minari.storage import minari_root, transactions
 from imujoco_minari.storage.file_format import MAIN_FILE
 from imujoco_minari.verification import child_process, inspect
+from imujoco_minari.verification.check import check
 
 HOPPER = "imujoco/hopper-massdec_25_leggeom-random-v0"
 BASE = "imujoco/hopper-base-random-v0"
@@ -104,7 +105,7 @@ def store(published: Path, root: Path, tmp_path: Path, monkeypatch: pytest.Monke
     for module in (pushing, pulling):
         monkeypatch.setattr(module, "connect", lambda *args, **kwargs: store)
     # Its child processes are tested with the verification; here they would take most of the time.
-    monkeypatch.setattr(child_process, "survives", lambda data: None)
+    monkeypatch.setattr(child_process, "check_apart", lambda data, metadata, jobs=1: check(data, metadata))
     return store
 
 
@@ -210,6 +211,30 @@ def test_an_interrupted_push_shows_nothing_and_goes_on(store: FolderStore) -> No
     assert list(store.list_datasets()) == [HOPPER]
 
 
+@pytest.mark.parametrize("all_of_them", [False, True])
+def test_cards_describe_what_was_uploaded_before_a_failure(store: FolderStore, all_of_them: bool) -> None:
+    """Its sources are uploaded, the collection is refused."""
+    remotes.push(LINKED, REMOTE)
+    edit_metadata(store.folder / LINKED / stores.METADATA_PATH, tier="expert")
+    for name in (HOPPER, BASE):
+        shutil.rmtree(store.folder / name)
+    card = store.folder / "imujoco" / stores.CARD
+    card.unlink()
+    if all_of_them:
+        assert [bool(outcome.error) for outcome in remotes.push_all([LINKED], REMOTE)] == [False, False, True]
+    else:
+        with pytest.raises(DatasetExistsError):
+            remotes.push(LINKED, REMOTE)
+    assert HOPPER in card.read_text()
+
+
+def test_odd_metadata_on_the_remote_does_not_stop_the_card(store: FolderStore) -> None:
+    remotes.push(HOPPER, REMOTE)
+    edit_metadata(store.folder / HOPPER / stores.METADATA_PATH, author=5, total_steps="x", license=[])
+    assert remotes.push(BASE, REMOTE)[0].uploaded
+    assert f"| `{HOPPER}` | 2 | 0 |" in (store.folder / "imujoco" / stores.CARD).read_text()
+
+
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
@@ -258,7 +283,7 @@ def test_a_collection_of_another_simulator_is_kept_too(
     assert [outcome.same_simulator for outcome in remotes.pull(LINKED, REMOTE)] == [False, False, True]
 
 
-def refuse_replays(data: Path, *, replay_episodes: int | None = None) -> list[Any]:
+def refuse_replays(data: Path, *, replay_episodes: int | None = None, untrusted: bool) -> list[Any]:
     return inspect(data, replay_episodes=replay_episodes) if replay_episodes == 0 else ["replayed"]
 
 
@@ -417,7 +442,7 @@ def test_a_source_that_is_here_with_the_same_content_is_used(store: FolderStore,
 
 def test_pull_force_replaces_nothing_before_all_checks_have_passed(store: FolderStore, root: Path) -> None:
     remotes.push(LINKED, REMOTE)
-    edit_metadata(store.folder / LINKED / stores.METADATA_FILE, tier="expert")
+    edit_metadata(store.folder / LINKED / stores.METADATA_PATH, tier="expert")
     other_content()
     before = files(root, BASE), files(root, LINKED)
     (outcome,) = pulling.pull_all([LINKED], REMOTE, force=True)

@@ -24,6 +24,7 @@ from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.remotes import connecting, stores
 from imujoco_minari.storage import minari_root
 from imujoco_minari.verification import child_process
+from imujoco_minari.verification.check import check
 
 # huggingface_hub 2.4 uses httpx in a way that httpx would have changed.
 pytestmark = pytest.mark.filterwarnings("ignore:Use 'content=:DeprecationWarning")
@@ -45,7 +46,7 @@ def point_at(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
 def hub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hub]:
     """A Hub on loopback that ``huggingface_hub`` takes for the real one, and a token for it."""
     monkeypatch.setenv("HF_TOKEN", TOKEN)
-    monkeypatch.setattr(child_process, "survives", lambda data: None)
+    monkeypatch.setattr(child_process, "check_apart", lambda data, metadata, jobs=1: check(data, metadata))
     with HubServer() as server:
         point_at(server.url, monkeypatch)
         monkeypatch.setattr(constants, "HF_HUB_DISABLE_XET", True)
@@ -116,6 +117,16 @@ def test_another_push_in_between_loses_no_registration(hub: Hub, monkeypatch: py
     store.upload_dataset(BASE)
     registry = json.loads(hub.head("user/imujoco").files["namespace_metadata.json"][0])
     assert registry["datasets"] == [BASE, "imujoco/x-v0"]
+
+
+@pytest.mark.parametrize("registry", [b'{"datasets": 5}', b'{"datasets": [5]}', b"[]", b"{"])
+def test_a_damaged_registry_is_one_line(hub: Hub, registry: bytes) -> None:
+    publish("hopper-base", tier="random", episodes=1)
+    connecting.connect(REMOTE, writing=True).upload_namespace("imujoco")
+    hub.commit("user/imujoco", "damage", {"namespace_metadata.json": (registry, False)})
+    for act in (remotes.push, remotes.pull):
+        with pytest.raises(RemoteError, match=r"imujoco/namespace_metadata\.json on the remote"):
+            act("imujoco/hopper-other-v0" if act is remotes.pull else BASE, REMOTE)
 
 
 def test_a_hub_that_cannot_be_reached_is_not_an_empty_one(hub: Hub, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -153,7 +153,7 @@ CHANGES: dict[str, tuple[str, Callable[[Dataset], Any], str]] = {
     "an array of its own": (
         BASE,
         lambda d: d.file.create_dataset("episode_0/infos/x", data=[1.0]),
-        "infos/x",
+        "episode_0/infos",
     ),
     "an episode twice": (BASE, lambda d: d.arrange(0, 0, 1), "episode_1@seed"),
     "an episode fewer": (BASE, lambda d: d.arrange(0, 2), "episode_1@seed"),

@@ -21,7 +21,7 @@ from imujoco_minari.publishing.combiner import combine_datasets
 from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.storage.metadata import complete_metadata
-from imujoco_minari.verification import Finding, child_process, inspect, verify
+from imujoco_minari.verification import Finding, Findings, child_process, inspect, verify
 
 ID = "imujoco/hopper-base-random-v0"
 EPISODES = 3
@@ -84,7 +84,7 @@ class TestSound:
 
     def test_a_dataset_under_another_id(self, data: Path, root: Path) -> None:
         shutil.copytree(data.parent, root / "imujoco/renamed-v0")
-        assert "lies under 'imujoco/renamed-v0'" in str(verify("imujoco/renamed-v0", replay=False)[0])
+        assert "not 'imujoco/renamed-v0', its place" in str(verify("imujoco/renamed-v0", replay=False)[0])
 
     def test_no_dataset(self) -> None:
         with pytest.raises(DatasetNotFoundError, match="is not in the Minari root"):
@@ -206,7 +206,7 @@ TAMPERED = {
     "no actions": (lambda file: file[E0].pop("actions"), "has no actions"),
     "actions a group": (
         lambda file: (file[E0].pop("actions"), file[E0].create_group("actions")),
-        "has no actions",
+        "actions: is no array",
     ),
     "a row short": (put(f"{E0}/observations", lambda v: v[:-1]), "of shape"),
     "a reward too many": (put(f"{E0}/rewards", lambda v: np.append(v, 0.0)), "episode_0/observations"),
@@ -251,8 +251,8 @@ TAMPERED = {
     "wrong mean": (attribute(E0, "rewards_mean", 3.0), "rewards_mean"),
     "no maximum": (attribute(E0, "rewards_max", None), "rewards_max"),
     "wrong variant of an episode": (attribute(E0, "variant", "hopper-massinc_50_leggeom"), "episode_0@"),
-    "no variant of an episode": (attribute(E0, "variant", None), "which is no variant"),
-    "variant a path": (attribute(E0, "variant", "../../etc"), "which is no variant"),
+    "no variant of an episode": (attribute(E0, "variant", None), "not a variant"),
+    "variant a path": (attribute(E0, "variant", "../../etc"), "not a variant"),
     "wrong robot": (attribute(E0, "robot", "walker2d"), "of shape"),
     "wrong percent": (attribute(E0, "percent", 25), "episode_0@percent"),
     "wrong tier": (attribute(E0, "tier", "expert"), "episode_0@tier"),
@@ -271,7 +271,7 @@ TAMPERED = {
         ),
         "link to elsewhere",
     ),
-    "group within itself": (lambda file: file[E0].__setitem__("infos", file[E0]), "nests deeper"),
+    "group within itself": (lambda file: file[E0].__setitem__("infos", file[E0]), "infos: is no array"),
     "a web of groups": (
         lambda file: [file[f"{E0}"].create_group(f"g{i}") for i in range(200)],
         "more than 100",
@@ -352,8 +352,8 @@ class TestTampering:
             ("minari_version", 1, "metadata.json/minari_version"),
             ("dataset_id", {}, "metadata.json/dataset_id"),
             ("observation_space", ..., "Minari would make the environment"),
-            ("observation_space", "{}", "no Box of floats"),
-            ("action_space", 7, "no Box of floats"),
+            ("observation_space", "{}", "not a Box of floats"),
+            ("action_space", 7, "not a Box of floats"),
             ("env_spec", ..., "no environment can be recovered"),
             ("env_spec", "[]", "no environment's specification"),
             ("env_spec", "[" * 100_000, "no environment's specification"),
@@ -375,12 +375,16 @@ class TestTampering:
         ("field", "value", "finding"),
         [
             ("entry_point", "os:system", "not of this package: do not load it"),
-            ("entry_point", "imujoco_minari.envs:Walker2dVariantEnv", "not the variant's"),
+            ("entry_point", "imujoco_minari.envs:Walker2dVariantEnv", "as the variant's environment has"),
             ("entry_point", None, "do not load it"),
-            ("kwargs", {"variant": "hopper-massinc_50_leggeom"}, "not the variant's"),
-            ("kwargs", {"variant": "hopper-base", "xml_file": "/tmp/x.xml"}, "not the variant's"),
+            ("kwargs", {"variant": "hopper-massinc_50_leggeom"}, "as the variant's environment has"),
+            (
+                "kwargs",
+                {"variant": "hopper-base", "xml_file": "/tmp/x.xml"},
+                "as the variant's environment has",
+            ),
             ("kwargs", 7, "gives the environment the arguments 7"),
-            ("max_episode_steps", 10, "not the variant's"),
+            ("max_episode_steps", 10, "as the variant's environment has"),
             ("vector_entry_point", "os:system", "do not load it"),
             ("additional_wrappers", [{"name": "x", "entry_point": "os:system"}], "do not load it"),
         ],
@@ -484,6 +488,11 @@ class TestScreening:
         assert "has changed since it was published" in changed
         assert "SIGSEGV" in killed
 
+    def test_a_crash_beside_a_missing_file(self, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.child(monkeypatch, "crash")
+        file_format.main_file(data).unlink()
+        assert "SIGSEGV" in str(verify(ID)[0])
+
     def test_a_hang_is_a_finding(self, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.child(monkeypatch, "compute")
         monkeypatch.setattr(child_process, "_SECONDS", 1)
@@ -529,16 +538,16 @@ class TestReplacedMeanwhile:
         self, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         publish("hopper-base", tier="random", episodes=2)
-        check, calls = child_process.checked_apart, []
+        check, calls = child_process.check_apart, []
 
-        def check_while_replaced(data: Path, jobs: int = 1) -> Any:
+        def check_while_replaced(data: Path, *arguments: Any) -> Findings:
             calls.append(data)
             if len(calls) > 1:
-                return check(data, jobs)
+                return check(data, *arguments)
             publish("hopper-base", tier="random", episodes=3, force=True)
-            return Finding("metadata.json", "is of one version, and the file of another")
+            return Findings([Finding("metadata.json", "is of one version, and the file of another")])
 
-        monkeypatch.setattr(child_process, "checked_apart", check_while_replaced)
+        monkeypatch.setattr(child_process, "check_apart", check_while_replaced)
         assert verify("imujoco/hopper-base-random-v0") == []
         assert len(calls) == 2
 
@@ -546,11 +555,11 @@ class TestReplacedMeanwhile:
         publish("hopper-base", tier="random", episodes=2)
         calls = []
 
-        def damaged(data: Path, jobs: int = 1) -> Any:
+        def damaged(data: Path, *_: Any) -> Findings:
             calls.append(data)
-            return Finding("main_data.hdf5", "is damaged")
+            return Findings([Finding("main_data.hdf5", "is damaged")], replayable=False)
 
-        monkeypatch.setattr(child_process, "checked_apart", damaged)
+        monkeypatch.setattr(child_process, "check_apart", damaged)
         assert [finding.what for finding in verify("imujoco/hopper-base-random-v0")] == ["is damaged"]
         assert len(calls) == 1
 
@@ -559,10 +568,10 @@ class TestReplacedMeanwhile:
     ) -> None:
         published = publish("hopper-base", tier="random", episodes=2)
 
-        def deleted(data: Path, jobs: int = 1) -> Any:
+        def deleted(data: Path, *_: Any) -> Findings:
             shutil.rmtree(published.path)
-            return Finding("main_data.hdf5", "is missing")
+            return Findings([Finding("main_data.hdf5", "is missing")], replayable=False)
 
-        monkeypatch.setattr(child_process, "checked_apart", deleted)
+        monkeypatch.setattr(child_process, "check_apart", deleted)
         with pytest.raises(DatasetNotFoundError, match="hopper-base-random-v0"):
             verify("imujoco/hopper-base-random-v0")

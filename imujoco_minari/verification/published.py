@@ -1,0 +1,103 @@
+"""The digests of datasets that this version of the package publishes: the file ``published.json``.
+
+``scripts/generate-digests`` writes the file. It lists datasets of the shipped experts only. A digest of an
+expert that is no longer shipped does not count.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from imujoco_minari.errors import DatasetError, NotFoundError, VariantError
+from imujoco_minari.policies.experts import expert_record, shipped_folder
+from imujoco_minari.storage import minari_root
+from imujoco_minari.storage.metadata import read_metadata
+from imujoco_minari.variants import EXPERT, parse_dataset_id
+from imujoco_minari.verification.findings import Finding, differing
+
+FILE = Path(__file__).with_name("published.json")
+
+# A digest follows from these and from the machine and versions that made it.
+_RECIPE = ("total_episodes", "seed", "policy_sha256")
+_MADE_WITH = ("versions", "machine", "simd")
+
+
+def compare_with_published(dataset_id: str, metadata: Mapping[str, Any]) -> Iterator[Finding]:
+    """Report how a dataset differs from the one that this version publishes under its id.
+
+    Raises:
+        NotFoundError: when no digest of it is listed.
+    """
+    wanted, made_with = published_entry(dataset_id), _content()["made_with"]
+    recipe = {key: wanted[key] for key in _RECIPE}
+    found = list(differing("metadata.json/", metadata, recipe, ", as published"))
+    if not found:
+        other = [key for key in _MADE_WITH if metadata.get(key) != made_with[key]]
+        reason = f" with other {' and '.join(other)}" if other else ""
+        content = {"content_sha256": wanted["content_sha256"]}
+        found = list(differing("metadata.json/", metadata, content, f", as published{reason}"))
+    yield from found
+
+
+def published_entry(dataset_id: str) -> dict[str, Any]:
+    """Return the recipe and the digest of a listed dataset, as keys and values of its metadata.
+
+    Raises:
+        NotFoundError: when no digest of it is listed.
+    """
+    datasets: dict[str, dict[str, Any]] = _content()["datasets"]
+    found = datasets.get(dataset_id)
+    if found is None or found["policy_sha256"] != _shipped_policy(dataset_id):
+        names = ", ".join(sorted(datasets)[:3])
+        more = f" and {len(datasets) - 3} more" if len(datasets) > 3 else ""
+        raise NotFoundError(f"this version lists no digest of {dataset_id}; listed: {names}{more}")
+    return found
+
+
+def listing(dataset_ids: Iterable[str]) -> str:
+    """Return the content of ``published.json`` for datasets of the Minari root.
+
+    Digests that are listed now stay listed, if the same versions made them and their policy is still shipped.
+
+    Raises:
+        DatasetError: when a dataset is not of a shipped expert, or others were made with other versions.
+    """
+    datasets: dict[str, dict[str, Any]] = {}
+    made_with: dict[str, Any] = {}
+    for dataset_id in dataset_ids:
+        metadata = read_metadata(minari_root.dataset_folder(dataset_id) / "data")
+        if metadata.get("policy_sha256") != _shipped_policy(dataset_id):
+            raise DatasetError(f"{dataset_id} is not a dataset of the shipped expert")
+        made_with = made_with or {key: metadata[key] for key in _MADE_WITH}
+        if any(metadata[key] != made_with[key] for key in _MADE_WITH):
+            raise DatasetError(f"{dataset_id} was made with other versions than the datasets before it")
+        datasets[dataset_id] = {key: metadata[key] for key in (*_RECIPE, "content_sha256")}
+    before = _content()
+    if before["made_with"] == made_with:
+        kept = {name: one for name, one in before["datasets"].items() if _is_current(name, one)}
+        datasets = kept | datasets
+    rows = ",\n".join(f"  {json.dumps(name)}: {json.dumps(datasets[name])}" for name in sorted(datasets))
+    return f'{{\n "made_with": {json.dumps(made_with)},\n "datasets": {{\n{rows}\n }}\n}}\n'
+
+
+@cache
+def _content() -> dict[str, Any]:
+    content: dict[str, Any] = json.loads(FILE.read_text("utf-8"))
+    return content
+
+
+def _is_current(dataset_id: str, entry: Mapping[str, Any]) -> bool:
+    return bool(entry["policy_sha256"] == _shipped_policy(dataset_id))
+
+
+def _shipped_policy(dataset_id: str) -> str:
+    """Return the digest of the shipped expert whose dataset has this id; empty where there is none."""
+    try:
+        variant, tier = parse_dataset_id(dataset_id)
+    except VariantError:
+        return ""
+    return str(expert_record(variant, shipped_folder()).get("weights_sha256", "")) if tier == EXPERT else ""
