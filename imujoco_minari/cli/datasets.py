@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -233,19 +234,13 @@ def verify_datasets(
     from imujoco_minari.verification import verify
 
     chosen = select_datasets(ids, Filters(robot, category, everything, with_base), tiers)
+    check = partial(verify, replay=replay, published=published, jobs=jobs, backend=backend)
     results: dict[str, Findings] = {}
     errors: list[ImujocoError] = []
     for dataset_id in chosen:
         try:
             with progress(dataset_id, _episodes(dataset_id), quiet=as_json or not replay) as advance:
-                results[dataset_id] = verify(
-                    dataset_id,
-                    replay=replay,
-                    published=published,
-                    jobs=jobs,
-                    backend=backend,
-                    on_episode=advance,
-                )
+                results[dataset_id] = check(dataset_id, on_episode=advance)
         except ImujocoError as error:
             errors.append(error)
             continue

@@ -48,7 +48,9 @@ Tiers = Annotated[
 ]
 
 # How to work.
-Episodes = Annotated[int, typer.Option("--episodes", "-n", min=1, metavar="N", help="Number of episodes.")]
+Episodes = Annotated[
+    int, typer.Option("--episodes", "-n", min=1, max=1_000_000, metavar="N", help="Number of episodes.")
+]
 Seed = Annotated[
     int, typer.Option("--seed", "-s", min=0, metavar="N", help="Seed of everything that is random.")
 ]

@@ -83,6 +83,8 @@ def preference_pairs(
     """
     whole_number(pairs, "pairs", least=1)
     starts = window_starts(data, length)
+    if not np.isfinite(data.rewards).all():
+        raise DatasetError("no segment can be preferred: the rewards hold NaN or infinity")
     scores = _returns(data, starts, length) if tiers is None else _tier_scores(data, tiers)[starts]
     names = [origin.variant for origin in data.table]
     variants = np.array([names.index(name) for name in names])[data.variant_index[starts]]

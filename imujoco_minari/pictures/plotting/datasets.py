@@ -64,12 +64,15 @@ def load_series(dataset_id: str) -> Series:
 
     Raises:
         DatasetNotFoundError: if the root has no such dataset.
-        DatasetError: if its episodes are not all of one robot of this package.
+        DatasetError: if its episodes are not all of one robot of this package, or hold NaN or infinity.
     """
     data = arrays(dataset_id, dtype=np.float32)
     robots = sorted({origin.robot for origin in data.table})
     if len(robots) != 1 or not robots[0]:
         raise DatasetError(f"{dataset_id}: only episodes of one robot can be drawn, not of {robots}")
+    for name in ("observations", "actions", "rewards"):
+        if not np.isfinite(getattr(data, name)).all():
+            raise DatasetError(f"{dataset_id} cannot be drawn: its {name} hold NaN or infinity")
     return Series(
         dataset_id.rpartition("/")[2].rpartition("-v")[0],
         robots[0],

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from imujoco_minari.envs.mjcf import compile_mjcf, model_text
 from imujoco_minari.envs.registration import make
-from imujoco_minari.errors import DatasetError, DatasetNotFoundError
+from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError
 from imujoco_minari.pictures.rendering.motion import Motion, PositionRecorder
 from imujoco_minari.storage import containment, file_format, minari_root
 from imujoco_minari.storage.metadata import read_metadata
@@ -123,25 +123,34 @@ def read_recorded(dataset_id: str, episode: int = 0) -> Recorded:
                 )
             containment.check_episode(file, episode, path.parent)
             models = dataset_models(read_metadata(path.parent))
-            return _read(file[f"episode_{episode}"], dataset_id, episode, models)
-    except (OSError, KeyError, IndexError) as error:
-        if isinstance(error, DatasetNotFoundError):
-            raise
+            return _read(file[file_format.episode_name(episode)], dataset_id, episode, models)
+    except ImujocoError:
+        raise
+    except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise DatasetError(f"{dataset_id}: episode {episode} cannot be read: {error}") from None
 
 
 def _read(group: h5py.Group, dataset_id: str, number: int, models: Mapping[str, str]) -> Recorded:
     variant = variant_of(group.attrs)
     replayable = bool(group.attrs.get(file_format.REPLAYABLE, True))
+    seed = int(group.attrs["seed"]) if replayable else None
+    if seed is not None and seed < 0:
+        raise ValueError(f"its seed is {seed}")
+    arrays = {key: group[key][()] for key in file_format.ARRAYS}
+    steps, (observation, action) = len(arrays["actions"]), specification(variant.robot).sizes
+    shapes = {"observations": (steps + 1, observation), "actions": (steps, action)}
+    for key, array in arrays.items():
+        if not steps or array.shape != shapes.get(key, (steps,)):
+            raise ValueError(f"its {key} have shape {array.shape}")
     return Recorded(
         dataset_id,
         number,
         variant,
         str(group.attrs.get("tier", "")),
-        int(group.attrs["seed"]) if replayable else None,
-        group["observations"][()],
-        group["actions"][()],
-        group["rewards"][()],
-        bool(group["terminations"][-1]),
+        seed,
+        arrays["observations"],
+        arrays["actions"],
+        arrays["rewards"],
+        bool(arrays["terminations"][-1]),
         models.get(str(variant)),
     )
