@@ -151,7 +151,10 @@ def test_what_is_damaged_or_missing_is_named(sources, root):
     with h5py.File(file_format.main_file(root / IDS[1] / "data"), "a") as file:
         del file["episode_2"]
     for link in (False, True):
-        with pytest.raises(DatasetError, match=r"cannot be copied.*(episode_2|verify)|states 4 episodes, but its file holds 3"):
+        with pytest.raises(
+            DatasetError,
+            match="states 4 episodes, but its file holds 3",
+        ):
             combine_datasets(sources, NEW, link=link)
     with pytest.raises(DatasetNotFoundError, match="hopper-none-v0 is not in the Minari root"):
         combine_datasets([IDS[0], "imujoco/hopper-none-v0"], NEW)
