@@ -120,7 +120,7 @@ def compare(metadata: Mapping[str, Any], content: Content) -> Iterator[Finding]:
     expected = _identity(metadata, content) | _versions(metadata, content)
     # Collections and datasets of earlier versions state no returns.
     statistics = file_format.return_statistics(content.returns)
-    expected |= {key: value for key, value in statistics.items() if key in metadata}
+    expected |= statistics if statistics.keys() & metadata.keys() else {}
     if not is_collection(metadata):
         variant, tier = content.identities[0]
         if is_randomised(metadata):
