@@ -182,8 +182,10 @@ def catalogue(robot: str | None = None, category: str | None = None) -> tuple[Va
             f"unknown category {clipped(category)!r}{suggestion(clipped(category), CATEGORIES)}; "
             f"valid: {', '.join(CATEGORIES)}"
         )
-    if robot is not None and category is not None:
-        listing_of(robot, category)
+    if robot is not None:
+        specification(robot)
+        if category is not None:
+            listing_of(robot, category)
     return tuple(
         variant
         for each in (ROBOTS if robot is None else (robot,))

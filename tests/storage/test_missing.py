@@ -30,7 +30,7 @@ from imujoco_minari.verification import verify
         ("imujoco-original/hopper-massdec_25_leggeom-v0", "imujoco import-archive DIR"),
         ("imujoco/hopper-mine-v0", ""),
         ("imujoco/hopper-base-v1", ""),
-        ("imujoco/ant-all-v0", ""),
+        ("imujoco/crab-all-v0", ""),
         ("D4RL/door/human-v2", ""),
     ],
 )
