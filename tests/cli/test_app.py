@@ -106,8 +106,8 @@ def test_verify_fails_on_damage(capsys: pytest.CaptureFixture[str], root: Path) 
     ("arguments", "code", "words"),
     [
         (["show", "hoper-massdec_25_leggeom"], 2, "did you mean 'hopper'"),
-        (["list", "--robot", "ant"], 2, "valid: hopper, halfcheetah, walker2d"),
-        (["list", "--category", "gravity"], 2, "valid: mass, joint, length, friction"),
+        (["list", "--robot", "crab"], 2, "valid: hopper, halfcheetah, walker2d"),
+        (["list", "--category", "colour"], 2, "valid: mass, joint, length, friction"),
         (["show", "hopper-massdec_100_leggeom"], 2, "percent -100"),
         (["show", "hopper-jointinc_25_legjoint"], 2, "can only shrink"),
         (["publish"], 2, "name a variant"),
