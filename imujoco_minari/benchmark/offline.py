@@ -32,6 +32,9 @@ from imujoco_minari.benchmark.td3_bc import Td3Bc
 from imujoco_minari.errors import BenchmarkError
 from imujoco_minari.loading import Arrays, arrays
 from imujoco_minari.policies import Actor
+from imujoco_minari.publishing.recipes import Recipe
+from imujoco_minari.storage import minari_root
+from imujoco_minari.storage.metadata import read_metadata
 from imujoco_minari.variants import ROBOTS, Variant
 
 NAME = "offline-v1"
@@ -40,6 +43,9 @@ CELL = ("protocol", "method", "robot", "tier", "seed", "updates")
 UPDATES = 250_000
 SEEDS = 3
 TIERS = ("medium", "medium-replay", "medium-expert")
+# The policies of these tiers sample their actions, as those of D4RL do: `imujoco publish --stochastic`. Modes
+# give data with one action for each state, on which the critics of TD3+BC diverge.
+SAMPLED_TIERS = ("medium", "medium-expert")
 # A policy of this tier's data is evaluated on these variants too: a strong change of each category.
 SHIFTED_TIER = "medium-expert"
 SHIFTED: Mapping[str, tuple[str, ...]] = {
@@ -122,9 +128,13 @@ class OfflineGrid:
         each = sum(SECONDS_PER_UPDATE[name] for name in self.methods) * self.updates
         return self.cells() / len(self.methods) * each
 
-    def dataset_ids(self) -> list[str]:
-        """Return the ids of the datasets that the cells need."""
-        return [_base(robot).dataset_id(tier) for robot in self.robots for tier in self.tiers]
+    def recipes(self) -> list[Recipe]:
+        """Return the recipes of the datasets that the cells need."""
+        return [
+            Recipe(_base(robot), tier, stochastic=tier in SAMPLED_TIERS)
+            for robot in self.robots
+            for tier in self.tiers
+        ]
 
 
 def run_offline(
@@ -144,9 +154,12 @@ def run_offline(
 
     Raises:
         DatasetNotFoundError: if a dataset is not in the Minari root.
-        BenchmarkError: if a variant has no expert, or a process was lost.
+        BenchmarkError: if the actions of a dataset are not sampled, a variant has no expert, or a process
+            was lost.
         StorageError: if a line cannot be written.
     """
+    for recipe in grid.recipes():
+        _check_sampled(recipe)
     return run_lines(results / FILE, _run_cell, list(_lines(grid)), jobs=jobs, on_cells=on_cells)
 
 
@@ -171,6 +184,16 @@ def _lines(grid: OfflineGrid) -> Iterator[Line]:
                         "policies_sha256": policies_sha256(variants),
                         "versions": versions(),
                     }
+
+
+def _check_sampled(recipe: Recipe) -> None:
+    """Raise a BenchmarkError if a dataset of which the actions must be sampled has the policies' modes."""
+    metadata = read_metadata(minari_root.dataset_folder(recipe.dataset_id) / "data")
+    if recipe.stochastic and metadata.get("policy_deterministic"):
+        raise BenchmarkError(
+            f"{recipe.dataset_id} has deterministic actions, but {NAME} needs sampled ones: replace it with "
+            f"`imujoco publish {recipe.variant} --tier {recipe.tier} --stochastic --force`"
+        )
 
 
 def _run_cell(line: Line) -> Line:

@@ -21,6 +21,7 @@ from imujoco_minari.variants import EXPERT, ROBOTS, held_out, parse_dataset_id
 if TYPE_CHECKING:
     from imujoco_minari.benchmark.lines import Line
     from imujoco_minari.benchmark.scores import MethodScore
+    from imujoco_minari.publishing.recipes import Recipe
 
 benchmark = typer.Typer(help="Compute and show results of methods.")
 app.add_typer(benchmark, name="benchmark")
@@ -108,7 +109,7 @@ def few_shot(
     cells = grid.cells()
     say(f"{counted(cells, 'cell')}: about {time_text(grid.seconds() / jobs)} with --jobs {jobs}")
     if not estimate:
-        _publish(grid.dataset_ids(), jobs, quiet=as_json)
+        _publish(_recipes(grid.dataset_ids()), jobs, quiet=as_json)
         with _cells("computing", cells, as_json) as on_cells:
             lines = run_few_shot(grid, output or RESULTS, jobs=jobs, on_cells=on_cells)
         _show(few_shot_scores(lines), as_json)
@@ -153,7 +154,7 @@ def offline(
     cells = grid.cells()
     say(f"{counted(cells, 'cell')}: about {time_text(grid.seconds() / jobs)} with --jobs {jobs}")
     if not estimate:
-        _publish(grid.dataset_ids(), jobs, quiet=as_json)
+        _publish(grid.recipes(), jobs, quiet=as_json)
         with _cells("training", cells, as_json) as on_cells:
             lines = run_offline(grid, output or RESULTS, jobs=jobs, on_cells=on_cells)
         _show(offline_scores(lines), as_json)
@@ -178,7 +179,7 @@ def reproduce(
 
     chosen = range(seeds or reproduction.SEEDS)
     train, test = reproduction.published_split()
-    _publish([*train, *test], jobs, quiet=as_json)
+    _publish(_recipes([*train, *test]), jobs, quiet=as_json)
     with _cells("training", len(chosen) * len(reproduction.METHODS), as_json) as on_cells:
         lines = reproduction.run_reproduction(output or RESULTS, seeds=chosen, jobs=jobs, on_cells=on_cells)
     rows = reproduction.comparison(lines)
@@ -268,18 +269,22 @@ def _say_changed(lines: Sequence[Line]) -> None:
         say(line)
 
 
-def _publish(dataset_ids: Sequence[str], jobs: int, *, quiet: bool) -> None:
-    """Publish the datasets that the Minari root lacks."""
-    from imujoco_minari.publishing.publisher import publish_all
+def _recipes(dataset_ids: Sequence[str]) -> list[Recipe]:
     from imujoco_minari.publishing.recipes import Recipe
 
-    missing = [dataset_id for dataset_id in dataset_ids if not minari_root.exists(dataset_id)]
+    return [Recipe(*parse_dataset_id(dataset_id)) for dataset_id in dataset_ids]
+
+
+def _publish(recipes: Sequence[Recipe], jobs: int, *, quiet: bool) -> None:
+    """Publish the datasets that the Minari root lacks."""
+    from imujoco_minari.publishing.publisher import publish_all
+
+    missing = [recipe for recipe in recipes if not minari_root.exists(recipe.dataset_id)]
     if not missing:
         return
     say(f"{counted(len(missing), 'dataset')} to publish first")
-    recipes = [Recipe(*parse_dataset_id(dataset_id)) for dataset_id in missing]
-    with progress("publishing", len(recipes), quiet=quiet) as advance:
-        for outcome in publish_all(recipes, jobs=jobs):
+    with progress("publishing", len(missing), quiet=quiet) as advance:
+        for outcome in publish_all(missing, jobs=jobs):
             if outcome.error:
                 raise BenchmarkError(outcome.error)
             advance()

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from actor_datasets import publish_actors
 from synthetic_arrays import BASE
 
 from imujoco_minari.benchmark.checks import changes
@@ -75,6 +76,13 @@ def test_one_tiny_cell_of_each_algorithm(
     assert changes(lines) == []
     assert run_offline(grid, tmp_path, on_cells=advanced.append) == lines
     assert advanced == [0, 1, 1, 1, 1, 4]
+
+
+def test_data_with_deterministic_actions_are_refused(root: Path, tmp_path: Path) -> None:
+    publish_actors(["imujoco/hopper-base-medium-v0"], root, episodes=2)
+    grid = OfflineGrid(methods=["bc"], robots=["hopper"], tiers=["medium"], seeds=[0], updates=2, episodes=1)
+    with pytest.raises(BenchmarkError, match="publish hopper-base --tier medium --stochastic --force"):
+        run_offline(grid, tmp_path)
 
 
 def test_a_grid_names_the_valid_choices() -> None:
