@@ -60,7 +60,7 @@ def few_shot(
     seeds: Seeds = None,
     settings: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="NAME=VALUE", help="A setting of the methods; may be repeated."),
+        typer.Option("--setting", metavar="NAME=VALUE", help="A setting of the methods; may be repeated."),
     ] = None,
     validation: Annotated[
         bool, typer.Option("--validation", help="Hold out every fifth training variant instead.")
@@ -77,7 +77,7 @@ def few_shot(
     --output names another. A killed run continues where it stopped, and a finished cell is never computed
     again while its data, policies, settings and versions are the same. Datasets that are missing are
     published first. Without options, it runs the whole protocol few-shot-v1, which takes hours. --method
-    takes the class of your own as <module>:<Class>. Settings are chosen with --set and --validation, which
+    takes the class of your own as <module>:<Class>. Settings are chosen with --setting and --validation, which
     uses the training variants alone.
 
     Examples: `imujoco benchmark few-shot --split hopper-random-v1 --jobs 2`,

@@ -48,8 +48,8 @@ def test_an_estimate_computes_nothing(capsys: pytest.CaptureFixture[str], tmp_pa
     [
         (["few-shot", "-m", "best"], "no method 'best'"),
         (["few-shot", "--held-out", "hopper-base"], "hopper-base is held out in none of"),
-        (["few-shot", "-m", "scratch", "--set", "speed=2"], "no setting 'speed=2'; valid: rate"),
-        (["few-shot", "-m", "scratch", "--set", "rate=fast"], "'rate=fast' is not a number"),
+        (["few-shot", "-m", "scratch", "--setting", "speed=2"], "no setting 'speed=2'; valid: rate"),
+        (["few-shot", "-m", "scratch", "--setting", "rate=fast"], "'rate=fast' is not a number"),
         (["offline", "--base", "ant"], "no robot 'ant' here; valid: hopper"),
         (["table", "nowhere"], "nowhere has no results"),
     ],
@@ -63,6 +63,8 @@ def test_a_mistake_gets_one_line(
 
 def test_settings_are_chosen_on_training_variants(capsys: pytest.CaptureFixture[str]) -> None:
     split = ["--split", "hopper-random-v1", "--validation", "--estimate"]
-    assert run(["benchmark", "few-shot", "-m", "scratch", "--seeds", "1", "--set", "rate=0.01", *split]) == 0
+    assert (
+        run(["benchmark", "few-shot", "-m", "scratch", "--seeds", "1", "--setting", "rate=0.01", *split]) == 0
+    )
     # 30 training variants, of which every fifth is held out, and 5 budgets.
     assert "30 cells" in capsys.readouterr().err
