@@ -28,7 +28,7 @@ class Change:
     """One physical parameter of a robot, changed.
 
     Attributes:
-        category: one of :data:`CATEGORIES`.
+        category: one of ``CATEGORIES``.
         percent: signed change in percent of the base value, with at most two decimals.
         body: the MJCF name without underscores, or a group that the robot's page names.
     """

@@ -31,7 +31,7 @@ class Variant:
 
     Attributes:
         robot: a robot that has a page, as in ``hopper``.
-        changes: the changes, in the order of :data:`CATEGORIES` and then as the page lists the bodies; empty
+        changes: the changes, in the order of ``CATEGORIES`` and then as the page lists the bodies; empty
             for the base robot. They may be given in any order.
 
     Raises:
