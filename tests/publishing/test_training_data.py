@@ -17,7 +17,7 @@ from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.publishing.training_data import record_training
 from imujoco_minari.training.hyperparameters import SCRATCH, Hyperparameters, hyperparameters
 from imujoco_minari.training.task import Task
-from imujoco_minari.variants import Variant
+from imujoco_minari.variants import Ranges, Variant
 from imujoco_minari.verification import verify
 
 LIGHT_LEG = Variant.parse("hopper-massdec_25_leggeom")
@@ -102,6 +102,8 @@ def test_medium_replay_takes_a_seed_only(capsys: pytest.CaptureFixture[str]) -> 
             publish("hopper-base", tier="medium-replay", **options)  # type: ignore[arg-type]
     with pytest.raises(PolicyNotFoundError, match="hopper-massinc_7_leggeom has no expert"):
         publish("hopper-massinc_7_leggeom", tier="medium-replay")
+    with pytest.raises(PolicyNotFoundError, match="a training run on one variant, not on ranges"):
+        publish(Ranges("hopper", {"mass/torsogeom": (-50, 50)}), tier="medium-replay")
     assert run(["publish", "hopper-base", "--tier", "medium-replay", "--dry-run"]) == 0
     shown = capsys.readouterr().out
     assert shown.startswith("would publish imujoco/hopper-base-medium-replay-v0: a training run, about ")
