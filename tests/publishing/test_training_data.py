@@ -13,7 +13,8 @@ from imujoco_minari.cli.app import run
 from imujoco_minari.errors import DatasetError, DatasetExistsError, PolicyNotFoundError, TrainingError
 from imujoco_minari.policies import expert_record, policies_folder
 from imujoco_minari.publishing import training_data
-from imujoco_minari.publishing.publisher import publish
+from imujoco_minari.publishing.publisher import publish, publish_recipe
+from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.publishing.training_data import record_training
 from imujoco_minari.training.hyperparameters import SCRATCH, Hyperparameters, hyperparameters
 from imujoco_minari.training.task import Task
@@ -74,7 +75,7 @@ def test_medium_replay_ends_at_the_medium_return_and_is_the_same_again() -> None
     # Any actor reaches a return of 0, so the run ends at the first evaluation, after 250 of 350 steps.
     expect(0.0)
     counted: list[int] = []
-    first = publish(LIGHT_LEG, tier="medium-replay", on_episode=lambda: counted.append(1))
+    first = publish_recipe(Recipe(LIGHT_LEG, "medium-replay"), on_episode=lambda: counted.append(1))
     dataset = minari.load_dataset(first.dataset_id)
     assert first.dataset_id == "imujoco/hopper-massdec_25_leggeom-medium-replay-v0"
     assert 150 < dataset.total_steps <= 260
@@ -97,12 +98,13 @@ def test_a_run_that_does_not_reach_the_medium_return_is_not_published(root: Path
 
 
 def test_medium_replay_takes_a_seed_only(capsys: pytest.CaptureFixture[str]) -> None:
-    for options in ({"episodes": 20}, {"stochastic": True}, {"policy": "sac.zip"}):
+    base = Variant.parse("hopper-base")
+    for options in ({"episodes": 20}, {"stochastic": True}, {"policy": Path("sac.zip")}):
         with pytest.raises(DatasetError, match="is a training run: it takes a seed, but no number of"):
-            publish("hopper-base", tier="medium-replay", **options)  # type: ignore[arg-type]
+            Recipe(base, "medium-replay", **options)  # type: ignore[arg-type]
     with pytest.raises(PolicyNotFoundError, match="hopper-massinc_7_leggeom has no expert"):
         publish("hopper-massinc_7_leggeom", tier="medium-replay")
-    with pytest.raises(PolicyNotFoundError, match="a training run on one variant, not on ranges"):
+    with pytest.raises(DatasetError, match="a training run on one variant, not on ranges"):
         publish(Ranges("hopper", {"mass/torsogeom": (-50, 50)}), tier="medium-replay")
     assert run(["publish", "hopper-base", "--tier", "medium-replay", "--dry-run"]) == 0
     shown = capsys.readouterr().out
