@@ -122,12 +122,12 @@ def _variants_id(file: h5py.File, metadata: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("change", "where", "what"),
     [
-        (_other_variant, "episode_1@variant", "but its seed draws hopper-massinc_"),
+        (_other_variant, "episode_1@variant", ", which its seed draws"),
         (_other_changes, "episode_1@changes", "not '{"),
-        (_other_ranges, "episode_0@variant", "but its seed draws"),
+        (_other_ranges, "episode_0@variant", ", which its seed draws"),
         (_no_ranges, "metadata.json/ranges", "no parameter 'mass/torsogem'"),
-        (_other_distribution, "episode_0@variant", "but its seed draws"),
-        (_other_environment, "metadata.json/env_spec", "has the kwargs"),
+        (_other_distribution, "episode_0@variant", ", which its seed draws"),
+        (_other_environment, "metadata.json/env_spec/kwargs", "environment has"),
         (_variants_id, "metadata.json/dataset_id", "hopper-base-random"),
     ],
 )
