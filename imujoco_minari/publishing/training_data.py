@@ -32,7 +32,6 @@ from imujoco_minari.training.agents import ALGORITHM
 from imujoco_minari.training.hyperparameters import SCRATCH, hyperparameters
 from imujoco_minari.training.run import OnInterval, Progress, Run, do_nothing
 from imujoco_minari.training.task import Task
-from imujoco_minari.variants import Ranges
 
 
 class WholeEpisodeCollector(StorageCollector):
@@ -81,12 +80,10 @@ def record_medium_replay(
     Raises:
         DatasetError: if the check of the new dataset fails.
         DatasetExistsError: if the root has another dataset with this id and ``force`` is false.
-        PolicyNotFoundError: if the recipe has ranges, or its variant no expert to compare with.
+        PolicyNotFoundError: if the variant has no expert to compare with.
         TrainingError: if the run does not reach the return.
     """
-    variant = recipe.variant
-    if isinstance(variant, Ranges):
-        raise PolicyNotFoundError(f"{MEDIUM_REPLAY} is a training run on one variant, not on ranges")
+    variant = recipe.nominal
     expert = expert_record(variant)
     if not expert:
         raise PolicyNotFoundError(
