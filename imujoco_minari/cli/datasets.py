@@ -15,6 +15,7 @@ from imujoco_minari.cli.options import (
     AsJson,
     Backend,
     Category,
+    DryRun,
     Episodes,
     Everything,
     Force,
@@ -61,9 +62,7 @@ def publish_datasets(
     jobs: Jobs = 1,
     backend: Backend = None,
     force: Force = False,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Print what would be published, and publish nothing.")
-    ] = False,
+    dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
     """Publish variants as Minari datasets.

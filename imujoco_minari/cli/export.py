@@ -13,6 +13,7 @@ from imujoco_minari.cli.options import (
     AsJson,
     Category,
     DatasetIds,
+    DryRun,
     Everything,
     Force,
     MaybeDatasetIds,
@@ -55,9 +56,7 @@ def export_datasets(
     ] = _WHOLE,
     seed: Seed = 0,
     force: Force = False,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Print what would be exported, and export nothing.")
-    ] = False,
+    dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
     """Write datasets in the format of another library.

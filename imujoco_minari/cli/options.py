@@ -69,6 +69,9 @@ Backend = Annotated[
         help="Where the jobs run: loky (this machine) or ray (a running Ray cluster).",
     ),
 ]
+DryRun = Annotated[
+    bool, typer.Option("--dry-run", help="Print the work and its estimated size and time, and do nothing.")
+]
 PolicyFile = Annotated[
     Path | None, typer.Option("--policy", metavar="FILE", help="A Stable-Baselines3 .zip or a .safetensors.")
 ]

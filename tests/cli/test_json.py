@@ -48,7 +48,7 @@ SUCCESSES: dict[str, Sequence[str]] = {
     "policies": ["--robot", "hopper"],
 }
 FAILURES: dict[str, Sequence[str]] = {
-    "list": ["--robot", "ant"],
+    "list": ["--robot", "bee"],
     "show": ["hopper-massdec_25_legeom"],
     "publish": ["hopper-massinc_37_torsogeom"],
     "combine": [BASE_ID, MISSING, "--id", "imujoco/hopper-two-v0"],
@@ -56,12 +56,12 @@ FAILURES: dict[str, Sequence[str]] = {
     "delete": [MISSING, "--yes"],
     "export": [MISSING, "--format", "npz"],
     "preferences": [MISSING],
-    "gallery": ["site", "--robot", "ant"],
+    "gallery": ["site", "--robot", "bee"],
     "import-archive": ["nowhere"],
     "diff-catalogue": [],
     "import": ["nowhere", "--variant", "hopper-base", "--tier", "again"],
     "plot": [MISSING],
-    "transfer": ["-r", "ant"],
+    "transfer": ["-r", "bee"],
     "push": [MISSING],
     "pull": [BASE_ID],
     "render": [MISSING],

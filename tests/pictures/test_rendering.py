@@ -214,7 +214,7 @@ def test_the_camera_follows_a_runner_and_stands_at_one_height() -> None:
     ends = np.stack(
         [np.stack([way + dx, 0 * way, 0 * way + z], axis=-1) for dx, z in ((-0.3, 0.1), (0.3, 0.9))], 1
     )
-    (camera,) = follow([Capsules(ends, np.array([0.05, 0.05]))], 1.0, 0.05)
+    (camera,) = follow([Capsules(ends, np.array([0.05, 0.05]), 0 * way)], 1.0, 0.05)
     assert camera.lookat[:, 0] == pytest.approx(way)
     assert np.ptp(camera.lookat[:, 2]) == 0.0
 
