@@ -19,8 +19,7 @@ from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
-from imujoco_minari.arguments import whole_number
-from imujoco_minari.errors import JobError, missing_dependency
+from imujoco_minari.errors import JobError, missing_dependency, whole_number
 
 Argument = TypeVar("Argument")
 Result = TypeVar("Result")

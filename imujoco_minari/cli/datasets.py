@@ -39,7 +39,7 @@ from imujoco_minari.variants.named_collections import NamedCollection
 
 if TYPE_CHECKING:
     from imujoco_minari.cli.estimates import Planned
-    from imujoco_minari.publishing.publisher import Published
+    from imujoco_minari.publishing.new_dataset import Published
     from imujoco_minari.publishing.recipes import Recipe
     from imujoco_minari.publishing.removal import Deleted
     from imujoco_minari.verification import Findings
@@ -98,7 +98,8 @@ def _published(
     recipes: list[Recipe], jobs: int, backend: str | None, force: bool, *, quiet: bool
 ) -> Iterator[Published]:
     """Publish each recipe and yield what became of it, behind a bar of datasets, or of one's episodes."""
-    from imujoco_minari.publishing.publisher import Published, publish_all, publish_recipe
+    from imujoco_minari.publishing.new_dataset import Published
+    from imujoco_minari.publishing.publisher import publish_all, publish_recipe
 
     if len(recipes) > 1 or backend is not None:
         outcomes = publish_all(recipes, jobs=jobs, force=force, backend=backend)

@@ -25,7 +25,7 @@ from imujoco_minari.policies import Policy, random_policy, read_actor
 from imujoco_minari.policies.evaluation import evaluate
 from imujoco_minari.policies.rollouts import episode_seed, roll_out
 from imujoco_minari.publishing.collector import StorageCollector
-from imujoco_minari.publishing.publisher import NewDataset, Published, publish_episodes
+from imujoco_minari.publishing.new_dataset import NewDataset, Published, publish_episodes
 from imujoco_minari.storage import file_format
 from imujoco_minari.storage.metadata import provenance
 from imujoco_minari.storage.writer import EpisodeStorage

@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from imujoco_minari.arguments import whole_number
-from imujoco_minari.errors import DatasetError
+from imujoco_minari.errors import DatasetError, whole_number
 from imujoco_minari.loading.episode_arrays import Arrays, TransitionBatch, check_arrays
 
 Array = NDArray[Any]

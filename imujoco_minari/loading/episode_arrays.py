@@ -12,8 +12,7 @@ import numpy as np
 from numpy.lib.format import open_memmap
 from numpy.typing import NDArray
 
-from imujoco_minari.arguments import as_path
-from imujoco_minari.errors import ArgumentError, DatasetError, clipped
+from imujoco_minari.errors import ArgumentError, DatasetError, as_path, clipped
 from imujoco_minari.loading import selection
 from imujoco_minari.loading.selection import Origin
 from imujoco_minari.loading.statistics import Statistics

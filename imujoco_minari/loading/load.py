@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from imujoco_minari.arguments import check_one_robot
-from imujoco_minari.errors import ArgumentError, DatasetError, clipped
+from imujoco_minari.errors import ArgumentError, DatasetError, check_one_robot, clipped
 from imujoco_minari.loading import selection
 from imujoco_minari.loading.episode_arrays import Arrays
 from imujoco_minari.loading.selection import Datasets, EpisodeReference, View

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from imujoco_minari.arguments import whole_number
-from imujoco_minari.errors import ArgumentError, DatasetError, clipped, suggestion
+from imujoco_minari.errors import ArgumentError, DatasetError, clipped, suggestion, whole_number
 from imujoco_minari.loading.batches import Windows, gather_windows, window_starts
 from imujoco_minari.loading.episode_arrays import Arrays
 from imujoco_minari.storage.targets import new_target

@@ -12,8 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from imujoco_minari.arguments import whole_number
-from imujoco_minari.errors import DatasetError, VariantError, clipped, suggestion
+from imujoco_minari.errors import DatasetError, VariantError, clipped, suggestion, whole_number
 from imujoco_minari.loading import selection
 from imujoco_minari.loading.batches import padded_rows
 from imujoco_minari.loading.episode_arrays import Arrays, check_arrays

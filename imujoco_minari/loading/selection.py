@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from imujoco_minari.arguments import whole_number
-from imujoco_minari.errors import ArgumentError, DatasetError, VariantError, clipped, suggestion
+from imujoco_minari.errors import ArgumentError, DatasetError, VariantError, clipped, suggestion, whole_number
 from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.storage.missing import not_in_root
 from imujoco_minari.storage.reader import EpisodeFile

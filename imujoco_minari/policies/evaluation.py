@@ -11,12 +11,12 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from imujoco_minari.arguments import whole_number
 from imujoco_minari.envs.registration import environment_spec
-from imujoco_minari.errors import ArgumentError, VariantError
+from imujoco_minari.errors import ArgumentError, VariantError, whole_number
 from imujoco_minari.policies import LANES, Array
 from imujoco_minari.policies.adapters import batch_act, checked
 from imujoco_minari.policies.aggregates import bootstrap_interval, interquartile_mean
+from imujoco_minari.policies.normalized import normalized_score
 from imujoco_minari.policies.rollouts import episode_seed, roll_out_together
 from imujoco_minari.variants import Variant
 
@@ -98,9 +98,6 @@ class Evaluation:
             VariantError: when the environment is no variant.
             PolicyNotFoundError: when a variant has no expert.
         """
-        # That module evaluates the random policy, so it imports this one.
-        from imujoco_minari.policies.references import normalized_score
-
         if not all(self.variants):
             raise VariantError("the environment is no variant, so its returns have no reference scores")
         return normalized_score(self.variants, self.returns)

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from imujoco_minari.arguments import whole_number
-from imujoco_minari.errors import DatasetError, PolicyError, VariantError
+from imujoco_minari.errors import DatasetError, PolicyError, VariantError, whole_number
 from imujoco_minari.policies import Policy
 from imujoco_minari.policies.tiers import MEDIUM_REPLAY, TierPart, parts
 from imujoco_minari.storage import file_format

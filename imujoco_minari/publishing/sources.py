@@ -14,8 +14,7 @@ from gymnasium.envs.registration import EnvSpec
 from minari import MinariDataset
 from minari.serialization import deserialize_space
 
-from imujoco_minari.arguments import check_one_robot
-from imujoco_minari.errors import ArgumentError, DatasetError, DatasetNotFoundError
+from imujoco_minari.errors import ArgumentError, DatasetError, DatasetNotFoundError, check_one_robot
 from imujoco_minari.storage import copying, file_format, minari_root
 from imujoco_minari.storage.metadata import read_metadata
 from imujoco_minari.storage.missing import not_in_root

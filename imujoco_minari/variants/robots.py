@@ -12,8 +12,7 @@ from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
 
-from imujoco_minari.arguments import as_path
-from imujoco_minari.errors import CatalogueError, VariantError, clipped, suggestion
+from imujoco_minari.errors import CatalogueError, VariantError, as_path, clipped, suggestion
 from imujoco_minari.variants.includes import read_model
 from imujoco_minari.variants.pages import RobotSpecification, parse_specification
 

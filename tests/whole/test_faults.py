@@ -147,12 +147,14 @@ def test_the_same_disk_in_order_gives_no_error() -> None:
     assert listed() == {ID: "new"}
 
 
-@pytest.mark.parametrize("step", ["record_shares", "complete_metadata", "inspect"])
+@pytest.mark.parametrize(
+    "step", ["publisher.record_shares", "new_dataset.complete_metadata", "new_dataset.inspect"]
+)
 def test_a_full_disk_while_publishing(step: str, root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fill(*args: Any, **kwargs: Any) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(f"imujoco_minari.publishing.publisher.{step}", fill)
+    monkeypatch.setattr(f"imujoco_minari.publishing.{step}", fill)
     with pytest.raises(StorageError, match="No space left on device"):
         publish("hopper-base", tier="random", episodes=1)
     assert minari.list_local_datasets() == {}
@@ -187,9 +189,9 @@ def test_a_small_disk(root: Path) -> None:
 
 
 KILLED_AT = {
-    "rolling out": "imujoco_minari.publishing.publisher.complete_metadata",
+    "rolling out": "imujoco_minari.publishing.new_dataset.complete_metadata",
     "before the rename": "imujoco_minari.storage.transactions.rename_new",
-    "after the rename": "imujoco_minari.publishing.publisher._read_outcome",
+    "after the rename": "imujoco_minari.publishing.publisher.read_outcome",
 }
 
 
@@ -217,7 +219,7 @@ def test_force_that_fails_leaves_the_old_one(root: Path, monkeypatch: pytest.Mon
     def fail(*args: Any, **kwargs: Any) -> list[str]:
         return ["damage"]
 
-    monkeypatch.setattr("imujoco_minari.publishing.publisher.inspect", fail)
+    monkeypatch.setattr("imujoco_minari.publishing.new_dataset.inspect", fail)
     with pytest.raises(ImujocoError, match="not published, because its check found: damage"):
         publish("hopper-base", tier="random", episodes=2, force=True)
     monkeypatch.undo()

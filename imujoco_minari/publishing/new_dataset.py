@@ -1,0 +1,207 @@
+"""From staged episodes to a dataset in the Minari root: complete, check, commit.
+
+A dataset is made in a staging folder of the root and committed after it was checked. An interrupted
+publication is never visible.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import h5py
+from gymnasium.envs.registration import EnvSpec
+from minari.data_collector import EpisodeBuffer
+
+from imujoco_minari.envs.mjcf import mjcf_sha256
+from imujoco_minari.errors import (
+    DatasetError,
+    DatasetExistsError,
+    clipped,
+)
+from imujoco_minari.storage import file_format, minari_root, transactions
+from imujoco_minari.storage.metadata import complete_metadata, read_metadata
+from imujoco_minari.storage.quiet_file import writing
+from imujoco_minari.storage.writer import new_storage
+from imujoco_minari.verification import inspect
+
+
+@dataclass(frozen=True)
+class Published:
+    """The outcome of publishing one dataset.
+
+    Attributes:
+        dataset_id: the dataset's id.
+        path: folder of the dataset; None if the publication failed.
+        created: whether this call made it; False if it existed already.
+        episodes: number of episodes.
+        steps: number of steps.
+        return_mean: mean undiscounted return of the episodes.
+        return_std: standard deviation of the returns.
+        content_sha256: digest of the arrays.
+        seconds: wall time.
+        error: why the publication failed; empty on success.
+        missing: whether it failed because something that was asked for does not exist.
+    """
+
+    dataset_id: str
+    path: Path | None = None
+    created: bool = False
+    episodes: int = 0
+    steps: int = 0
+    return_mean: float = float("nan")
+    return_std: float = float("nan")
+    content_sha256: str = ""
+    seconds: float = 0.0
+    error: str = ""
+    missing: bool = False
+
+
+@dataclass(frozen=True)
+class NewDataset:
+    """A dataset to be published, without its episodes.
+
+    Attributes:
+        dataset_id: the dataset's id.
+        attributes: attributes of the file and of every episode.
+        mjcf: the MJCF text of its environment.
+        metadata: the entries of ``metadata.json`` that do not follow from the episodes.
+    """
+
+    dataset_id: str
+    attributes: Mapping[str, Any]
+    mjcf: str
+    metadata: Mapping[str, Any]
+
+
+def publish_episodes(
+    dataset: NewDataset, spec: EnvSpec, episodes: Iterable[EpisodeBuffer], *, force: bool = False
+) -> Published:
+    """Publish given episodes as a dataset.
+
+    Args:
+        dataset: the dataset, without its episodes.
+        spec: specification of the environment that the dataset recovers.
+        episodes: the episodes, in order.
+        force: replace the dataset that has the id.
+
+    Raises:
+        DatasetExistsError: if the root has another dataset with this id and ``force`` is false.
+        StorageError: if the root cannot be written.
+        DatasetError: if the check of the new dataset fails.
+    """
+    dataset_id = dataset.dataset_id
+    origin = {key: dataset.metadata[key] for key in _ORIGIN_KEYS if key in dataset.metadata}
+    if found := find_published(dataset_id, origin, force=force):
+        return found
+    start = time.monotonic()
+    with transactions.staging(dataset_id) as folder:
+        staged = folder / "dataset"
+        staged.mkdir()
+        env = gym.make(spec)
+        storage = new_storage(staged / "data", env, dataset.attributes)
+        env.close()
+        try:
+            storage.update_episodes(episodes)
+        finally:
+            storage.flush()
+        created = check_and_commit(staged, dataset, force)
+    return read_outcome(dataset_id, created=created, seconds=time.monotonic() - start)
+
+
+# Metadata keys that identify the origin of given episodes.
+_ORIGIN_KEYS = ("source", "source_sha256", "seed", "policy_sha256")
+
+
+def find_published(dataset_id: str, asked: Mapping[str, Any], *, force: bool) -> Published | None:
+    """Return the outcome if the root has the requested dataset already; None if it is to be made.
+
+    Args:
+        dataset_id: the dataset's id.
+        asked: metadata that distinguish the requested dataset from others with the same id.
+        force: replace what exists: the answer is None.
+
+    Raises:
+        DatasetExistsError: if the dataset with this id differs from the requested one.
+    """
+    if force or not transactions.taken(dataset_id):
+        return None
+    stated = read_metadata(minari_root.dataset_folder(dataset_id) / "data")
+    differing = {key: value for key, value in asked.items() if stated.get(key, value) != value}
+    if differing:
+        has = ", ".join(_format_value(key, stated[key]) for key in differing)
+        wanted = ", ".join(_format_value(key, value) for key, value in differing.items())
+        raise DatasetExistsError(
+            f"{dataset_id} is already published, but differs: it has {has}; you asked for {wanted}. "
+            "Replace it with --force (force=True), or choose another tier"
+        )
+    return read_outcome(dataset_id, created=False)
+
+
+def _format_value(key: str, value: Any) -> str:
+    """Return a value of the metadata as text for a message."""
+    if key == "total_episodes":
+        return f"{value} episodes"
+    if key == "policy_deterministic":
+        return "deterministic actions" if value else "sampled actions"
+    return f"{key.removesuffix('_sha256')} {clipped(value)}"
+
+
+def check_and_commit(staged: Path, dataset: NewDataset, force: bool) -> bool:
+    """Complete, check and commit a staged dataset; return False if another process was faster."""
+    data, dataset_id = staged / "data", dataset.dataset_id
+    with writing(file_format.main_file(data)) as file:
+        digests = {
+            "mjcf_sha256": mjcf_sha256(dataset.mjcf),
+            "content_sha256": file_format.content_sha256(file, len(file)),
+        }
+        file.attrs.update({**dataset.attributes, "mjcf": dataset.mjcf, **digests})
+        returns = [float(file[name].attrs["rewards_sum"]) for name in file]
+    stated = {**dataset.metadata, **dataset.attributes, **digests, **file_format.return_statistics(returns)}
+    complete_metadata(data, stated | {"dataset_id": dataset_id})
+    findings = inspect(data, replay_episodes=1)
+    if findings:
+        raise DatasetError(f"{dataset_id}: not published, because its check found: {findings[0]}")
+    try:
+        transactions.commit(staged, dataset_id, replace=force)
+    except DatasetExistsError:
+        if force:
+            raise
+        return False
+    return True
+
+
+def read_outcome(dataset_id: str, *, created: bool, seconds: float = 0.0) -> Published:
+    """Return the outcome of publishing a dataset that now is in the root.
+
+    Raises:
+        DatasetError: if it is not a complete dataset of this package.
+    """
+    path = minari_root.dataset_folder(dataset_id)
+    try:
+        with h5py.File(file_format.main_file(path / "data"), "r") as file:
+            returns = [float(file[name].attrs["rewards_sum"]) for name in file]
+            steps = sum(int(file[name].attrs["total_steps"]) for name in file)
+            digest = str(file.attrs.get("content_sha256", ""))
+        if not returns:
+            raise ValueError("it has no episodes")
+    except (OSError, KeyError, ValueError, TypeError, AttributeError, RuntimeError) as error:
+        raise DatasetError(
+            f"{dataset_id}: {path} exists, but is not a complete dataset of this package: {error}"
+        ) from None
+    statistics = file_format.return_statistics(returns)
+    return Published(
+        dataset_id,
+        path,
+        created,
+        episodes=len(returns),
+        steps=steps,
+        return_mean=statistics["return_mean"],
+        return_std=statistics["return_std"],
+        content_sha256=digest,
+        seconds=seconds,
+    )
