@@ -12,7 +12,6 @@ from imujoco_minari.errors import ImujocoError
 from imujoco_minari.policies import expert_record
 from imujoco_minari.policies.tiers import MEDIUM_REPLAY
 from imujoco_minari.storage import minari_root
-from imujoco_minari.storage.metadata import read_metadata
 from imujoco_minari.variants import BASE, EXPERT, Variant, parse_dataset_id, specification
 
 if TYPE_CHECKING:
@@ -125,6 +124,8 @@ class PlannedExport:
 
 def plan_export(dataset_ids: Sequence[str], *, archive: bool) -> PlannedExport:
     """Return what an export of published datasets would write; ``archive`` means the original's layout."""
+    from imujoco_minari.storage.metadata import read_metadata
+
     episodes = steps = size = 0
     for dataset_id in dataset_ids:
         stated = read_metadata(minari_root.dataset_folder(dataset_id) / "data")

@@ -13,7 +13,6 @@ from pathlib import Path
 from types import MappingProxyType
 
 from imujoco_minari.errors import CatalogueError, VariantError, as_path, clipped, suggestion
-from imujoco_minari.variants.includes import read_model
 from imujoco_minari.variants.pages import RobotSpecification, parse_specification
 
 _ROBOT = re.compile(r"[a-z][a-z0-9]{0,39}", re.ASCII)
@@ -58,6 +57,9 @@ def load_pages(path: str | Path) -> tuple[str, ...]:
     files = sorted(path.glob("*.toml")) if path.is_dir() else [path]
     if not files:
         raise CatalogueError(f"{path}: no page of a robot is here; a page is a file <robot>.toml")
+    # Only pages of users need an XML parser, which takes time to import.
+    from imujoco_minari.variants.includes import read_model
+
     for file in files:
         try:
             text = file.read_text("utf-8")

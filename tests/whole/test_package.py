@@ -34,7 +34,11 @@ def test_importing_loads_nothing_heavy() -> None:
     assert not modules_after("import imujoco_minari") & set(HEAVY)
 
 
-def test_the_test_above_can_fail() -> None:
+def test_the_command_line_starts_with_nothing_heavy_but_its_parser() -> None:
+    assert modules_after("import imujoco_minari.cli") & set(HEAVY) == {"typer"}
+
+
+def test_the_tests_above_can_fail() -> None:
     assert "mujoco" in modules_after("import imujoco_minari; imujoco_minari.canonical_mjcf")
 
 
