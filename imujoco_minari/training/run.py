@@ -290,8 +290,12 @@ _BUFFER_ARRAYS = ("observations", "next_observations", "actions", "rewards", "do
 
 
 def load_progress(folder: Path) -> Progress:
-    """Return the progress in the last checkpoint of a state folder."""
-    return _stored_progress(load_arrays(folder / _CHECKPOINT_NAME))
+    """Return the progress in the last checkpoint of a state folder.
+
+    It is empty if there is no checkpoint: the run's first actor had reached the target.
+    """
+    checkpoint = folder / _CHECKPOINT_NAME
+    return _stored_progress(load_arrays(checkpoint)) if checkpoint.is_file() else Progress()
 
 
 def _stored_progress(checkpoint: dict[str, Array]) -> Progress:
