@@ -9,7 +9,6 @@ import json
 import os
 from collections.abc import Mapping
 from contextlib import suppress
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -67,12 +66,14 @@ def expert_record(variant: Variant, folder: Path | None = None) -> Mapping[str, 
 
 def expert_variants() -> tuple[Variant, ...]:
     """Return the variants that have an expert policy of the user or of the package, sorted."""
-    names = {path.name for place in _places(None) if place.is_dir() for path in place.glob("*-*.json")}
+    names = {path.stem for place in _places(None) if place.is_dir() for path in place.glob("*-*.json")}
     found = []
     for name in names:
+        if name.endswith(".agent"):
+            continue
         # The user may have policies of robots whose pages are not loaded now.
         with suppress(VariantError):
-            found.append(Variant.parse(name.removesuffix(".json")))
+            found.append(Variant.parse(name))
     return tuple(sorted(found))
 
 
@@ -94,7 +95,7 @@ def policies_folder() -> Path:
 
 def shipped_folder() -> Path:
     """Return the folder of the policies that the package ships."""
-    return Path(str(resources.files("imujoco_minari") / "weights"))
+    return Path(__file__).parents[1] / "weights"
 
 
 def _places(folder: Path | None) -> tuple[Path, Path]:

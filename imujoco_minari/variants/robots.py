@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from importlib import resources
+from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
 
@@ -127,10 +127,9 @@ def _parse(robot: str, page: Mapping[str, str], name: str) -> RobotSpecification
 
 def _shipped_pages() -> dict[str, RobotSpecification]:
     """Return the robots of the package, the listed ones first, the smallest first among both."""
+    folder = Path(import_module("imujoco_minari.env_specs").__path__[0])
     pages = {
-        page.name.removesuffix(".toml"): parse_specification(page.read_text("utf-8"), page.name)
-        for page in resources.files("imujoco_minari.env_specs").iterdir()
-        if page.name.endswith(".toml")
+        page.stem: parse_specification(page.read_text("utf-8"), page.name) for page in folder.glob("*.toml")
     }
     order = sorted(pages, key=lambda robot: (not pages[robot].listed, pages[robot].observation_size, robot))
     return {robot: pages[robot] for robot in order}

@@ -10,7 +10,7 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -160,5 +160,5 @@ def _page_splits(robot: str) -> Mapping[str, HeldOut]:
 
 @cache
 def _shared() -> Mapping[str, HeldOut]:
-    file = resources.files("imujoco_minari.variants").joinpath("splits.toml")
+    file = Path(__file__).with_name("splits.toml")
     return parse_splits(file.read_text("utf-8"), "splits.toml")
