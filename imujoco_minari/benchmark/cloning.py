@@ -11,20 +11,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from imujoco_minari.benchmark.networks import (
-    HIDDEN,
-    Array,
-    Network,
-    bind,
-    clone,
-    new_network,
-    of_actor,
-    to_actor,
-)
+from imujoco_minari.benchmark.networks import Network, bind, clone, new_policy, of_actor, to_actor
 from imujoco_minari.benchmark.protocol import STEPS
 from imujoco_minari.loading import Arrays, Origin, Statistics
 from imujoco_minari.loading.statistics import measure
-from imujoco_minari.policies import Actor, expert_actor
+from imujoco_minari.policies import Actor, Array, expert_actor
 from imujoco_minari.variants import Variant
 from imujoco_minari.variants.context import context, parameters
 
@@ -49,7 +40,7 @@ class Scratch:
     def adapt(self, demonstrations: Arrays) -> Mapping[int, Actor]:
         """Return the policies after each number of steps on the demonstrations."""
         statistics = robust_statistics(demonstrations.observations)
-        network = new_network(_sizes(demonstrations, HIDDEN), self.seed)
+        network = new_policy(demonstrations.observations, demonstrations.actions, self.seed)
         return fine_tune(network, statistics, demonstrations, self.rate, self.seed, self.steps)
 
 
@@ -102,12 +93,10 @@ class MultiVariant:
         """Clone the behaviour of all training variants."""
         self._statistics = robust_statistics(train.observations)
         inputs = self._statistics.normalize(train.observations)
-        sizes = _sizes(train, HIDDEN)
         if self.told:
             contexts = np.array([context_of(origin) for origin in train.table])
             inputs = np.concatenate((inputs, contexts[train.variant_index]), axis=1)
-            sizes = (inputs.shape[1], *sizes[1:])
-        network = new_network(sizes, self.seed)
+        network = new_policy(inputs, train.actions, self.seed)
         self._network = clone(
             network, inputs, train.actions, [self.fit_steps], rate=self.fit_rate, seed=self.seed, batch=256
         )[self.fit_steps]
@@ -153,7 +142,3 @@ def robust_statistics(observations: Array) -> Statistics:
     """Return the statistics of observations, with standard deviations of at least 0.01."""
     found = measure(observations)
     return Statistics(found.mean, np.maximum(found.std, _LEAST_STD))
-
-
-def _sizes(data: Arrays, hidden: tuple[int, ...]) -> tuple[int, ...]:
-    return (data.observations.shape[1], *hidden, data.actions.shape[1])

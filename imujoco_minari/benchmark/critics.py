@@ -1,13 +1,16 @@
-"""What the offline algorithms with critics share: their data, their values and their target networks."""
+"""Shared by the offline algorithms with critics: their data, values, updates and target networks."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from imujoco_minari.benchmark.networks import HIDDEN, Array, Network, forward, new_network, padded
+from imujoco_minari.benchmark.networks import HIDDEN, Network, Update, forward, iterate, new_network, padded
 from imujoco_minari.loading import Arrays, Statistics
+from imujoco_minari.policies import Array
 from imujoco_minari.training.agents import import_jax
 
 
@@ -41,6 +44,26 @@ def values(critics: tuple[Network, Network], observations: Any, actions: Any) ->
     inputs = import_jax().numpy.concatenate((observations, actions), axis=-1)
     first, second = critics
     return forward(first, inputs)[:, 0], forward(second, inputs)[:, 0]
+
+
+def critic_error(critics: tuple[Network, Network], observations: Any, actions: Any, target: Any) -> Any:
+    """Return the sum of both critics' mean squared errors to the target values."""
+    first, second = values(critics, observations, actions)
+    return ((first - target) ** 2).mean() + ((second - target) ** 2).mean()
+
+
+def run_updates(algorithm: Any, update_of: Callable[[Any], Update], state: Any, data: tuple[Any, ...]) -> Any:
+    """Return the state after all updates of an algorithm.
+
+    Args:
+        algorithm: a dataclass with ``seed`` and ``updates``.
+        update_of: returns the update of an algorithm's settings.
+        state: the state before the first update.
+        data: the data of :func:`transition_data`.
+    """
+    # All seeds use one compiled program.
+    update = update_of(replace(algorithm, seed=0, updates=0))
+    return iterate(update, state, data, [algorithm.updates], algorithm.seed)[algorithm.updates]
 
 
 def follow(target: Any, network: Any, share: float) -> Any:

@@ -7,9 +7,11 @@ that its line states.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import groupby
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache, partial
+from itertools import groupby, product
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +19,7 @@ import numpy as np
 
 from imujoco_minari.benchmark import protocol
 from imujoco_minari.benchmark.evaluating import episode_returns, relative_error
-from imujoco_minari.benchmark.lines import (
-    Line,
-    append_line,
-    data_sha256,
-    identity,
-    policies_sha256,
-    read_lines,
-    references,
-    versions,
-)
+from imujoco_minari.benchmark.lines import Line, data_sha256, policies_sha256, references, run_lines, versions
 from imujoco_minari.benchmark.methods import BOUNDS, Method, NewMethod, settings_of
 from imujoco_minari.benchmark.protocol import Budget, draw_demonstrations
 from imujoco_minari.errors import BenchmarkError, JobError
@@ -46,7 +39,7 @@ SECONDS_PER_FIT = {"multi-variant": 40.0, "told": 40.0, "maml": 65.0, "set-encod
 
 @dataclass(frozen=True)
 class FewShotGrid:
-    """The cells of a run: all combinations of what is listed here.
+    """The cells of a run: all combinations of these methods, splits, tiers, budgets, seeds and variants.
 
     Attributes:
         methods: maps names to methods.
@@ -98,23 +91,13 @@ class FewShotGrid:
 
     def dataset_ids(self) -> list[str]:
         """Return the ids of the datasets that the cells need."""
+        learns = any(hasattr(new(0), "fit") for new in self.methods.values())
         wanted: list[str] = []
         for split in self.splits:
-            learns = any(hasattr(new(0), "fit") for new in self.methods.values())
             variants = [*(split.train if learns else ()), *self.held_out(split)]
-            wanted += [Variant.parse(variant).dataset_id(tier) for tier in self.tiers for variant in variants]
+            for tier in self.tiers:
+                wanted += _dataset_ids(variants, tier)
         return list(dict.fromkeys(wanted))
-
-
-@dataclass(frozen=True)
-class _Task:
-    """The cells of one method, seed and variant, with what their lines have in common."""
-
-    new: NewMethod
-    seed: int
-    train: tuple[str, ...]
-    dataset_id: str
-    lines: tuple[Line, ...]
 
 
 def run_few_shot(
@@ -143,39 +126,56 @@ def run_few_shot(
         >>> grid = FewShotGrid({"mine": MyMethod}, [held_out("hopper-random-v1")])  # doctest: +SKIP
         >>> lines = run_few_shot(grid, Path("results"))  # doctest: +SKIP
     """
-    path = results / FILE
-    known = {identity(line): line for line in read_lines(path)}
-    wanted = list(_tasks(grid))
-    done = [known[identity(line)] for task in wanted for line in task.lines if identity(line) in known]
-    on_cells(len(done))
-    missing = []
-    for task in wanted:
-        lines = tuple(line for line in task.lines if identity(line) not in known)
-        if lines:
-            missing.append(replace(task, lines=lines))
+    return run_lines(results / FILE, partial(_compute, grid, jobs), list(_lines(grid)), on_cells)
+
+
+def _lines(grid: FewShotGrid) -> Iterator[Line]:
+    """Yield a line for each cell, without its measured entries."""
+    # All cells of a dataset share its digest.
+    digest = cache(data_sha256)
+    stated = {"protocol": protocol.NAME, "episodes": grid.episodes, "versions": versions()}
+    for split, tier, seed in product(grid.splits, grid.tiers, grid.seeds):
+        for name, new in grid.methods.items():
+            method = new(seed)
+            common = {
+                **stated,
+                "method": name,
+                "settings": settings_of(method),
+                "split": split.name,
+                "tier": tier,
+                "seed": seed,
+                "train_sha256": digest(_dataset_ids(split.train, tier)) if hasattr(method, "fit") else "",
+            }
+            budgets = protocol.BUDGETS[:1] if name in BOUNDS else grid.budgets
+            for variant in map(Variant.parse, grid.held_out(split)):
+                own = {
+                    **common,
+                    "variant": str(variant),
+                    "data_sha256": digest((variant.dataset_id(tier),)),
+                    "policies_sha256": policies_sha256((variant.base, variant)),
+                }
+                yield from ({**own, "budget": str(budget)} for budget in budgets)
+
+
+def _dataset_ids(variants: Iterable[str], tier: str) -> tuple[str, ...]:
+    return tuple(Variant.parse(variant).dataset_id(tier) for variant in variants)
+
+
+def _compute(grid: FewShotGrid, jobs: int, lines: Sequence[Line]) -> Iterator[Line]:
+    """Yield the lines with their measured entries."""
+    splits = {split.name: split for split in grid.splits}
     # Methods are fitted shortly before they are used, so that a killed run loses little.
-    for _, chunk in groupby(missing, key=_chunk_of):
-        for line in _run_chunk(list(chunk), jobs):
-            append_line(path, line)
-            done.append(line)
-            on_cells(1)
-    return done
-
-
-def _chunk_of(task: _Task) -> list[Any]:
-    return [task.lines[0][key] for key in ("split", "tier", "seed")]
-
-
-def _run_chunk(tasks: Sequence[_Task], jobs: int) -> Iterator[Line]:
-    """Fit the methods of the tasks once each, and yield the lines of the tasks."""
-    names = list(dict.fromkeys(task.lines[0]["method"] for task in tasks))
-    first = {name: next(task for task in tasks if task.lines[0]["method"] == name) for name in names}
-    fitted: dict[str, Method] = {}
-    for number, method in run_jobs(_fit, list(first.values()), jobs=jobs):
-        fitted[names[number]] = _found(method, names[number])
-    work = [(fitted[task.lines[0]["method"]], task) for task in tasks]
-    for number, lines in run_jobs(_run_task, work, jobs=jobs):
-        yield from _found(lines, tasks[number].dataset_id)
+    for (split, tier, seed), own in groupby(lines, itemgetter("split", "tier", "seed")):
+        tasks = [list(task) for _, task in groupby(own, itemgetter("method", "variant"))]
+        train = _dataset_ids(splits[split].train, tier)
+        names = list(dict.fromkeys(task[0]["method"] for task in tasks))
+        fits = [(grid.methods[name], seed, train) for name in names]
+        fitted = {
+            names[number]: _found(fit, names[number]) for number, fit in run_jobs(_fit, fits, jobs=jobs)
+        }
+        work = [(fitted[task[0]["method"]], task) for task in tasks]
+        for number, found in run_jobs(_run_task, work, jobs=jobs):
+            yield from _found(found, _dataset_id(tasks[number]))
 
 
 def _found(result: Any, name: str) -> Any:
@@ -184,57 +184,22 @@ def _found(result: Any, name: str) -> Any:
     return result
 
 
-def _tasks(grid: FewShotGrid) -> Iterator[_Task]:
-    stated = {
-        "protocol": protocol.NAME,
-        "episodes": grid.episodes,
-        "versions": versions(),
-    }
-    for split in grid.splits:
-        for tier in grid.tiers:
-            train = tuple(Variant.parse(variant).dataset_id(tier) for variant in split.train)
-            for seed in grid.seeds:
-                for name, new in grid.methods.items():
-                    method = new(seed)
-                    learns = hasattr(method, "fit")
-                    common = {
-                        **stated,
-                        "method": name,
-                        "settings": settings_of(method),
-                        "split": split.name,
-                        "tier": tier,
-                        "seed": seed,
-                        "train_sha256": data_sha256(train) if learns else "",
-                    }
-                    budgets = protocol.BUDGETS[:1] if name in BOUNDS else grid.budgets
-                    for variant in map(Variant.parse, grid.held_out(split)):
-                        dataset_id = variant.dataset_id(tier)
-                        own = {
-                            **common,
-                            "variant": str(variant),
-                            "data_sha256": data_sha256([dataset_id]),
-                            "policies_sha256": policies_sha256((variant.base, variant)),
-                        }
-                        lines = tuple({**own, "budget": str(budget)} for budget in budgets)
-                        yield _Task(new, seed, train if learns else (), dataset_id, lines)
-
-
-def _fit(task: _Task) -> Method:
-    method = task.new(task.seed)
-    if task.train:
-        data = arrays(list(task.train), portion=(0.0, protocol.TRAIN_SHARE), dtype=np.float32)
-        method.fit(data)  # type: ignore[attr-defined]
+def _fit(work: tuple[NewMethod, int, tuple[str, ...]]) -> Method:
+    new, seed, train = work
+    method = new(seed)
+    if hasattr(method, "fit"):
+        method.fit(arrays(list(train), portion=(0.0, protocol.TRAIN_SHARE), dtype=np.float32))
     return method
 
 
-def _run_task(work: tuple[Method, _Task]) -> list[Line]:
+def _run_task(work: tuple[Method, list[Line]]) -> list[Line]:
+    """Return the lines of one method, seed and variant, with their measured entries."""
     method, task = work
-    variant = Variant.parse(task.lines[0]["variant"])
-    data = arrays(task.dataset_id, dtype=np.float32)
+    variant, data = Variant.parse(task[0]["variant"]), arrays(_dataset_id(task), dtype=np.float32)
     evaluated: dict[str | None, list[float]] = {}
     lines: list[Line] = []
-    for line in task.lines:
-        demonstrations, query = draw_demonstrations(data, Budget.parse(line["budget"]), task.seed)
+    for line in task:
+        demonstrations, query = draw_demonstrations(data, Budget.parse(line["budget"]), line["seed"])
         start = time.process_time()
         adapted = method.adapt(demonstrations)
         adapting = time.process_time() - start
@@ -249,3 +214,7 @@ def _run_task(work: tuple[Method, _Task]) -> list[Line]:
         seconds = [round(adapting, 2), round(time.process_time() - start - adapting, 2)]
         lines.append({**line, "references": references(variant), "results": found, "seconds": seconds})
     return lines
+
+
+def _dataset_id(task: Sequence[Line]) -> str:
+    return Variant.parse(task[0]["variant"]).dataset_id(task[0]["tier"])

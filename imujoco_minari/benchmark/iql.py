@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -10,9 +10,11 @@ import numpy as np
 
 from imujoco_minari.benchmark.cloning import robust_statistics
 from imujoco_minari.benchmark.critics import (
+    critic_error,
     draw_transitions,
     follow,
     new_critics,
+    run_updates,
     transition_data,
     values,
 )
@@ -21,9 +23,9 @@ from imujoco_minari.benchmark.networks import (
     Update,
     adam,
     forward,
-    iterate,
     minimise,
     new_network,
+    new_policy,
     to_actor,
 )
 from imujoco_minari.loading import Arrays
@@ -59,13 +61,9 @@ class Iql:
 
     def train(self, data: Arrays) -> Actor:
         """Return the policy that was learnt from the data."""
-        import_jax()
         statistics = robust_statistics(data.observations)
         observation, action = data.observations.shape[1], data.actions.shape[1]
-        actor = (
-            new_network((observation, *HIDDEN, action), self.seed),
-            np.zeros(action, np.float32),
-        )
+        actor = (new_policy(data.observations, data.actions, self.seed), np.zeros(action, np.float32))
         critics = new_critics(observation, action, self.seed)
         value = new_network((observation, *HIDDEN, 1), self.seed + 3000)
         moments = tuple(adam().init(part) for part in (actor, critics, value))
@@ -73,10 +71,7 @@ class Iql:
         spread = float(np.ptp(data.returns))
         scaled = transition_data(data, statistics, 1000.0 / spread if spread else 1.0)
         state = (np.int32(0), np.int32(self.updates), actor, critics, critics, value, moments)
-        # All seeds use one compiled program.
-        update = _update(replace(self, seed=0, updates=0))
-        trained = iterate(update, state, scaled, [self.updates], self.seed)
-        network, _ = trained[self.updates][2]
+        network, _ = run_updates(self, _update, state, scaled)[2]
         return to_actor(network, statistics, "IQL")
 
 
@@ -102,8 +97,7 @@ def _update(settings: Iql) -> Update:
         target = rewards + settings.discount * (1.0 - ended) * next_values
 
         def critic_loss(critics: Any) -> Any:
-            first, second = values(critics, observations, actions)
-            return ((first - target) ** 2).mean() + ((second - target) ** 2).mean()
+            return critic_error(critics, observations, actions, target)
 
         critics, critic_moments = minimise(critic_loss, critics, critic_moments, settings.rate)
         weight = jnp.minimum(jnp.exp(settings.sharpness * advantage), settings.weight_limit)

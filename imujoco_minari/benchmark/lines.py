@@ -1,13 +1,13 @@
 """Result lines: one JSON object for each cell, with everything that decided the result.
 
-A line's *identity* is all of it but what was measured. A cell is computed once for each identity: when a
+A line's *identity* is all of it but the measured entries. A cell is computed once for each identity: when a
 dataset, a policy, a setting or a version changes, the old line no longer matches and the cell runs again.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, version
@@ -70,42 +70,48 @@ def append_line(path: Path, line: Line) -> None:
 
 
 def identity(line: Line) -> str:
-    """Return the identity of a line as text: all of it but what was measured."""
+    """Return the identity of a line as text: all of it but the measured entries."""
     return json.dumps({key: line[key] for key in sorted(line) if key not in _MEASURED})
 
 
 def run_lines(
     path: Path,
-    measure: Callable[[Line], Line],
+    compute: Callable[[Sequence[Line]], Iterable[Line]],
     wanted: Sequence[Line],
-    *,
-    jobs: int,
     on_cells: Callable[[int], None],
 ) -> list[Line]:
     """Compute the lines that a results file lacks, and return all that are wanted.
 
     Args:
         path: the results file. Each line is written as soon as it is known.
-        measure: picklable; returns a line with what was measured.
-        wanted: lines without what is measured.
-        jobs: number of processes.
+        compute: yields each line that it gets with its measured entries.
+        wanted: lines without measured entries.
         on_cells: called with the number of lines that have become known.
 
     Raises:
-        BenchmarkError: if a process was lost.
         StorageError: if a line cannot be written.
     """
     known = {identity(line): line for line in read_lines(path)}
     done = [known[identity(line)] for line in wanted if identity(line) in known]
     missing = [line for line in wanted if identity(line) not in known]
     on_cells(len(done))
-    for number, line in run_jobs(measure, missing, jobs=jobs):
-        if isinstance(line, JobError):
-            raise BenchmarkError(f"{missing[number]['method']}, seed {missing[number]['seed']}: {line}")
+    for line in compute(missing):
         append_line(path, line)
         done.append(line)
         on_cells(1)
     return done
+
+
+def measure_each(measure: Callable[[Line], Line], jobs: int, lines: Sequence[Line]) -> Iterator[Line]:
+    """Yield each line with its measured entries, which ``measure`` adds in one of several processes.
+
+    Raises:
+        BenchmarkError: if a process was lost.
+    """
+    for number, line in run_jobs(measure, lines, jobs=jobs):
+        if isinstance(line, JobError):
+            raise BenchmarkError(f"{lines[number]['method']}, seed {lines[number]['seed']}: {line}")
+        yield line
 
 
 def latest(lines: Iterable[Line], keys: tuple[str, ...]) -> list[Line]:

@@ -15,12 +15,11 @@ import numpy as np
 
 from imujoco_minari.benchmark.cloning import fine_tune, robust_statistics
 from imujoco_minari.benchmark.networks import (
-    HIDDEN,
     Loss,
     Network,
     descend,
     draw_rows,
-    new_network,
+    new_policy,
     padded,
     squared_error,
 )
@@ -63,7 +62,7 @@ class Maml:
         self._statistics = robust_statistics(train.observations)
         inputs = self._statistics.normalize(train.observations)
         starts, counts = variant_blocks(train)
-        network = new_network((inputs.shape[1], *HIDDEN, train.actions.shape[1]), self.seed)
+        network = new_policy(inputs, train.actions, self.seed)
         loss = meta_loss(self.tasks, self.rows, self.inner_steps)
         data = (padded(inputs), padded(train.actions), starts, counts, np.float32(self.inner_rate))
         steps = self.fit_steps

@@ -77,7 +77,7 @@ METHODS: Mapping[str, NewMethod] = {
     "random": RandomBound,
     "expert": ExpertBound,
 }
-# The methods of which the policy does not depend on the demonstrations. They run with one budget.
+# The policies of these methods do not depend on the demonstrations. They run with one budget.
 BOUNDS = ("told", "random", "expert")
 
 

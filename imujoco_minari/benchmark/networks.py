@@ -12,13 +12,11 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imujoco_minari.loading.statistics import Statistics
-from imujoco_minari.policies import Actor
+from imujoco_minari.policies import Actor, Array
 from imujoco_minari.training.agents import import_jax
 
-Array = NDArray[Any]
 # One (weight (in, out), bias (out,)) for each layer.
 Network = list[tuple[Any, Any]]
 # Returns the loss of a network on a random batch: (network, key, data) -> scalar.
@@ -46,6 +44,11 @@ def new_network(sizes: Sequence[int], seed: int) -> Network:
         )
         for inputs, outputs in pairwise(sizes)
     ]
+
+
+def new_policy(inputs: Array, actions: Array, seed: int) -> Network:
+    """Return a network with random weights, from inputs (N, in) to actions (N, act)."""
+    return new_network((inputs.shape[1], *HIDDEN, actions.shape[1]), seed)
 
 
 def forward(network: Network, inputs: Any) -> Any:
@@ -136,7 +139,6 @@ def descend(
         rate: learning rate.
         seed: seed of the batches.
     """
-    import_jax()
     state = (network, adam().init(network), np.float32(rate))
     states = iterate(_adam_step(loss), state, data, checkpoints, seed)
     return {steps: network for steps, (network, _, _) in states.items()}
@@ -167,22 +169,22 @@ def clone(
     return descend(cloning_loss(batch), network, data, checkpoints, rate=rate, seed=seed)
 
 
+def squared_error(network: Network, inputs: Any, actions: Any) -> Any:
+    """Return the mean squared error of ``tanh(network(inputs))`` to the actions."""
+    return ((import_jax().numpy.tanh(forward(network, inputs)) - actions) ** 2).mean()
+
+
 @cache
-def cloning_loss(batch: int) -> Loss:
+def cloning_loss(batch: int, error: Loss = squared_error) -> Loss:
     """Return the loss of behaviour cloning on batches of some size; its data are (inputs, actions, rows)."""
     jax = import_jax()
 
     def loss(network: Network, key: Any, data: tuple[Any, ...]) -> Any:
         inputs, actions, rows = data
         chosen = jax.random.randint(key, (batch,), 0, rows)
-        return squared_error(network, inputs[chosen], actions[chosen])
+        return error(network, inputs[chosen], actions[chosen])
 
     return loss
-
-
-def squared_error(network: Network, inputs: Any, actions: Any) -> Any:
-    """Return the mean squared error of ``tanh(network(inputs))`` to the actions."""
-    return ((import_jax().numpy.tanh(forward(network, inputs)) - actions) ** 2).mean()
 
 
 def padded(array: Array) -> Array:
@@ -205,6 +207,8 @@ def minimise(loss: Callable[[Any], Any], network: Any, moments: Any, rate: Any) 
 @cache
 def adam() -> Any:
     """Return Adam's rule without a learning rate."""
+    # JAX needs its settings before optax imports it.
+    import_jax()
     import optax
 
     return optax.scale_by_adam()

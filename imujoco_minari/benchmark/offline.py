@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -20,6 +20,7 @@ from imujoco_minari.benchmark.iql import Iql
 from imujoco_minari.benchmark.lines import (
     Line,
     data_sha256,
+    measure_each,
     policies_sha256,
     references,
     run_lines,
@@ -80,7 +81,7 @@ class Algorithm(Protocol):
 
 
 # Returns an algorithm for a seed and a number of updates.
-NewAlgorithm = Callable[[int, int], Any]
+NewAlgorithm = Callable[[int, int], Algorithm]
 ALGORITHMS: Mapping[str, NewAlgorithm] = {
     "bc": Cloning,
     "bc-10%": partial(Cloning, best=0.1),
@@ -91,7 +92,7 @@ ALGORITHMS: Mapping[str, NewAlgorithm] = {
 
 @dataclass(frozen=True)
 class OfflineGrid:
-    """The cells of a run: all combinations of what is listed here.
+    """The cells of a run: all combinations of these methods, robots, tiers and seeds.
 
     Attributes:
         methods: names of the algorithms.
@@ -131,7 +132,7 @@ class OfflineGrid:
     def recipes(self) -> list[Recipe]:
         """Return the recipes of the datasets that the cells need."""
         return [
-            Recipe(_base(robot), tier, stochastic=tier in SAMPLED_TIERS)
+            Recipe(Variant(robot), tier, stochastic=tier in SAMPLED_TIERS)
             for robot in self.robots
             for tier in self.tiers
         ]
@@ -160,13 +161,16 @@ def run_offline(
     """
     for recipe in grid.recipes():
         _check_sampled(recipe)
-    return run_lines(results / FILE, _run_cell, list(_lines(grid)), jobs=jobs, on_cells=on_cells)
+    compute = partial(measure_each, _run_cell, jobs)
+    return run_lines(results / FILE, compute, list(_lines(grid)), on_cells)
 
 
 def _lines(grid: OfflineGrid) -> Iterator[Line]:
+    # All cells of a dataset share its digest, and all cells share the versions.
+    digest, present = cache(data_sha256), versions()
     for seed in grid.seeds:
         for robot in grid.robots:
-            base = _base(robot)
+            base = Variant(robot)
             for tier in grid.tiers:
                 variants = (base, *(map(Variant.parse, SHIFTED[robot]) if tier == SHIFTED_TIER else ()))
                 for name in grid.methods:
@@ -180,14 +184,14 @@ def _lines(grid: OfflineGrid) -> Iterator[Line]:
                         "updates": grid.updates,
                         "episodes": grid.episodes,
                         "variants": [str(variant) for variant in variants],
-                        "data_sha256": data_sha256([base.dataset_id(tier)]),
+                        "data_sha256": digest((base.dataset_id(tier),)),
                         "policies_sha256": policies_sha256(variants),
-                        "versions": versions(),
+                        "versions": present,
                     }
 
 
 def _check_sampled(recipe: Recipe) -> None:
-    """Raise a BenchmarkError if a dataset of which the actions must be sampled has the policies' modes."""
+    """Raise a BenchmarkError if a dataset needs sampled actions but has the policies' modes."""
     metadata = read_metadata(minari_root.dataset_folder(recipe.dataset_id) / "data")
     if recipe.stochastic and metadata.get("policy_deterministic"):
         raise BenchmarkError(
@@ -198,7 +202,7 @@ def _check_sampled(recipe: Recipe) -> None:
 
 def _run_cell(line: Line) -> Line:
     start = time.process_time()
-    data = arrays(_base(line["robot"]).dataset_id(line["tier"]), dtype=np.float32)
+    data = arrays(Variant(line["robot"]).dataset_id(line["tier"]), dtype=np.float32)
     policy = ALGORITHMS[line["method"]](line["seed"], line["updates"]).train(data)
     training = time.process_time() - start
     variants = [Variant.parse(variant) for variant in line["variants"]]
@@ -218,7 +222,3 @@ def algorithm_settings(name: str) -> dict[str, Any]:
     settings = settings_of(ALGORITHMS[name](0, 0))
     del settings["updates"]
     return settings
-
-
-def _base(robot: str) -> Variant:
-    return Variant(robot)

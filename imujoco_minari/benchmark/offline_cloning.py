@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imujoco_minari.benchmark.cloning import robust_statistics
-from imujoco_minari.benchmark.networks import HIDDEN, clone, new_network, to_actor
+from imujoco_minari.benchmark.networks import clone, new_policy, to_actor
 from imujoco_minari.loading import Arrays
 from imujoco_minari.policies import Actor
 
@@ -38,7 +38,7 @@ class Cloning:
         kept = data.select(np.sort(order[: 1 + np.searchsorted(steps, self.best * len(data))]))
         statistics = robust_statistics(kept.observations)
         inputs = statistics.normalize(kept.observations)
-        network = new_network((inputs.shape[1], *HIDDEN, kept.actions.shape[1]), self.seed)
+        network = new_policy(inputs, kept.actions, self.seed)
         networks = clone(
             network, inputs, kept.actions, [self.updates], rate=self.rate, seed=self.seed, batch=self.batch
         )

@@ -142,22 +142,30 @@ def offline_tables(scores: Sequence[MethodScore]) -> str:
     return table(["robot", "tier", "evaluated on", "method", "score"], rows)
 
 
-def results_page(few_shot: Sequence[Line], offline: Sequence[Line], findings: str) -> str:
+def results_page(
+    few_shot: Sequence[Line],
+    offline: Sequence[Line],
+    findings: str,
+    scores: tuple[Sequence[MethodScore], Sequence[MethodScore]] | None = None,
+) -> str:
     """Return the results page as Markdown.
 
     Args:
         few_shot: the few-shot lines.
         offline: the offline lines.
-        findings: what was found, in Markdown; it begins the page.
+        findings: the text that begins the page, in Markdown.
+        scores: the scores of the few-shot and of the offline lines; None to compute them, which takes
+            seconds.
     """
+    few_scores, off_scores = scores or (few_shot_scores(few_shot), offline_scores(offline))
     parts = ["# Results", findings.strip(), _HOW]
-    for title, lines, scores, figures, tables in (
-        ("Few-shot imitation", few_shot, few_shot_scores(few_shot), few_shot_figures, few_shot_tables),
-        ("Offline learning", offline, offline_scores(offline), offline_figures, offline_tables),
+    for title, lines, own, figures, tables in (
+        ("Few-shot imitation", few_shot, few_scores, few_shot_figures, few_shot_tables),
+        ("Offline learning", offline, off_scores, offline_figures, offline_tables),
     ):
         if lines:
-            drawn = [f"![{each.title}](results-figures/{each.name}.svg)" for each in figures(scores)]
-            parts += [f"## {title}", _note(lines), *drawn, tables(scores)]
+            drawn = [f"![{each.title}](results-figures/{each.name}.svg)" for each in figures(own)]
+            parts += [f"## {title}", _note(lines), *drawn, tables(own)]
     return "\n\n".join(part.strip() for part in parts if part) + "\n"
 
 

@@ -57,11 +57,6 @@ class Budget:
     def __str__(self) -> str:
         return f"{self.count}x{self.length or 'all'}"
 
-    @property
-    def label(self) -> str:
-        """The budget in words, for figures."""
-        return f"{self.count} x {self.length}" if self.length else f"{self.count} whole"
-
 
 BUDGETS = tuple(map(Budget.parse, ("1x100", "2x100", "5x100", "10x100", "1xall")))
 

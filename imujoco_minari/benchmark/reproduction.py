@@ -11,20 +11,20 @@ from __future__ import annotations
 import random
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from imujoco_minari.benchmark.cloning import robust_statistics
-from imujoco_minari.benchmark.lines import Line, data_sha256, run_lines, versions
+from imujoco_minari.benchmark.lines import Line, data_sha256, measure_each, run_lines, versions
 from imujoco_minari.benchmark.maml import variant_blocks
 from imujoco_minari.benchmark.networks import (
-    Array,
     Loss,
     Network,
     Update,
+    cloning_loss,
     descend,
     draw_rows,
     forward,
@@ -33,6 +33,7 @@ from imujoco_minari.benchmark.networks import (
     padded,
 )
 from imujoco_minari.loading import arrays
+from imujoco_minari.policies import Array
 from imujoco_minari.training.agents import import_jax
 from imujoco_minari.variants import catalogue
 
@@ -53,7 +54,7 @@ TASKS, META_RATE, INNER_RATE, META_SHOTS = 16, 5e-4, 0.01, (1, 3, 5)
 
 @dataclass(frozen=True)
 class Choices:
-    """What the published protocol leaves open, as decided here, and its longest training.
+    """The choices that the published protocol leaves open, and its longest training.
 
     Attributes:
         meta_steps: steps of the meta-training; the protocol has 10,000.
@@ -98,7 +99,7 @@ def run_reproduction(
     Args:
         results: folder of ``reproduction.jsonl``.
         seeds: the seeds.
-        choices: what the protocol leaves open.
+        choices: the choices that the protocol leaves open.
         jobs: number of processes.
         on_cells: called with the number of lines that have become known.
 
@@ -115,7 +116,7 @@ def run_reproduction(
         "versions": versions(),
     }
     wanted: list[Line] = [{**common, "method": method, "seed": seed} for seed in seeds for method in METHODS]
-    return run_lines(results / FILE, _run_line, wanted, jobs=jobs, on_cells=on_cells)
+    return run_lines(results / FILE, partial(measure_each, _run_line, jobs), wanted, on_cells)
 
 
 class Comparison(NamedTuple):
@@ -157,7 +158,7 @@ def _run_line(line: Line) -> Line:
         steps, loss = choices.meta_steps, _meta_loss(choices.query_windows)
         data += variant_blocks(train)
     else:
-        steps, loss = choices.pretraining_steps, _pretraining_loss(choices.pretraining_batch)
+        steps, loss = choices.pretraining_steps, cloning_loss(choices.pretraining_batch, _squared)
         data += (len(inputs),)
     network = descend(loss, network, data, [steps], rate=META_RATE, seed=line["seed"])[steps]
     errors: dict[str, dict[str, list[float]]] = {}
@@ -209,18 +210,6 @@ def _inner_step() -> Update:
         return jax.tree.map(lambda old, g: old - INNER_RATE * g, network, gradient)
 
     return step
-
-
-@cache
-def _pretraining_loss(batch: int) -> Loss:
-    jax = import_jax()
-
-    def loss(network: Network, key: Any, data: tuple[Any, ...]) -> Any:
-        inputs, targets, rows = data
-        chosen = jax.random.randint(key, (batch,), 0, rows)
-        return _squared(network, inputs[chosen], targets[chosen])
-
-    return loss
 
 
 @cache

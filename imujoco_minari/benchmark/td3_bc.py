@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -10,22 +10,15 @@ import numpy as np
 
 from imujoco_minari.benchmark.cloning import robust_statistics
 from imujoco_minari.benchmark.critics import (
+    critic_error,
     draw_transitions,
     follow,
     new_critics,
+    run_updates,
     transition_data,
     values,
 )
-from imujoco_minari.benchmark.networks import (
-    HIDDEN,
-    Update,
-    adam,
-    forward,
-    iterate,
-    minimise,
-    new_network,
-    to_actor,
-)
+from imujoco_minari.benchmark.networks import Update, adam, forward, minimise, new_policy, to_actor
 from imujoco_minari.loading import Arrays
 from imujoco_minari.policies import Actor
 from imujoco_minari.training.agents import import_jax
@@ -59,17 +52,14 @@ class Td3Bc:
 
     def train(self, data: Arrays) -> Actor:
         """Return the policy that was learnt from the data."""
-        import_jax()
         statistics = robust_statistics(data.observations)
         observation, action = data.observations.shape[1], data.actions.shape[1]
-        actor = new_network((observation, *HIDDEN, action), self.seed)
+        actor = new_policy(data.observations, data.actions, self.seed)
         critics = new_critics(observation, action, self.seed)
         moments = (adam().init(actor), adam().init(critics))
         state = (np.int32(0), actor, critics, actor, critics, moments)
-        # All seeds use one compiled program.
-        update = _update(replace(self, seed=0, updates=0))
-        trained = iterate(update, state, transition_data(data, statistics), [self.updates], self.seed)
-        return to_actor(trained[self.updates][1], statistics, "TD3+BC")
+        trained = run_updates(self, _update, state, transition_data(data, statistics))
+        return to_actor(trained[1], statistics, "TD3+BC")
 
 
 @cache
@@ -91,8 +81,7 @@ def _update(settings: Td3Bc) -> Update:
         target = rewards + settings.discount * (1.0 - ended) * least
 
         def critic_loss(critics: Any) -> Any:
-            first, second = values(critics, observations, actions)
-            return ((first - target) ** 2).mean() + ((second - target) ** 2).mean()
+            return critic_error(critics, observations, actions, target)
 
         critics, critic_moments = minimise(critic_loss, critics, critic_moments, settings.rate)
 

@@ -241,7 +241,7 @@ def page(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = Fals
             files += plot_bars(figure.panels, figure.ticks, (figure.title, "normalised return"), stem)
     findings = folder / "findings.md"
     found = findings.read_text("utf-8") if findings.exists() else ""
-    write_text(target / "results.md", pages.results_page(few, off, found))
+    write_text(target / "results.md", pages.results_page(few, off, found, (few_scores, off_scores)))
     write_text(target / "results.csv", to_csv(few_scores + off_scores))
     files += [target / "results.md", target / "results.csv"]
     _say_changed([*few, *off])
