@@ -176,7 +176,7 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def _note(lines: Sequence[Line]) -> str:
-    """Return a sentence about the lines: how many there are, of how many seeds and which versions."""
+    """Return sentences with the numbers of lines and of seeds, and the versions."""
     versions = sorted({f"{name} {number}" for line in lines for name, number in line["versions"].items()})
     seeds = len({line["seed"] for line in lines})
     return f"Cells: {len(lines)}. Seeds: {seeds}. Computed with {', '.join(versions)}."

@@ -1,4 +1,4 @@
-"""What a policy scores: the return, the length and the normalised score of each of its episodes."""
+"""Evaluation of a policy: the return, the length and the normalised score of each of its episodes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from imujoco_minari.variants import Variant
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Evaluation:
-    """What each of E episodes of a policy scored.
+    """The results of E episodes of a policy.
 
     Attributes:
         returns: (E,) float64; the undiscounted returns.
@@ -136,7 +136,7 @@ def evaluate(
     seed: int = 0,
     on_episode: Callable[[], None] | None = None,
 ) -> Evaluation:
-    """Run seeded episodes of a policy and return what each of them scored.
+    """Run seeded episodes of a policy and return the result of each.
 
     Equal seeds give equal initial states, whatever the policy. Actions go to the environment as they are.
 

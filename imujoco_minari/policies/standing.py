@@ -85,6 +85,7 @@ def standings(
     """
     lines = []
     for robot in robots:
+        base = expert_record(Variant(robot), folder)
         for category in categories:
             if category != BASE and category not in specification(robot).categories:
                 continue
@@ -92,7 +93,7 @@ def standings(
             if not variants:
                 continue
             records = [record for variant in variants if (record := expert_record(variant, folder))]
-            shares = [share for record in records if (share := share_of_base(record, folder)) is not None]
+            shares = [mean_return(record) / mean_return(base) for record in records] if base else []
             lines.append(
                 Standing(
                     robot,

@@ -14,7 +14,7 @@ from imujoco_minari.storage.files import write_json
 from imujoco_minari.training.agents import load_arrays, save_arrays
 from imujoco_minari.training.ladder import Ladder
 from imujoco_minari.training.plan import Plan
-from imujoco_minari.training.run import OnInterval, do_nothing, load_progress, score
+from imujoco_minari.training.run import OnInterval, load_progress, score
 from imujoco_minari.training.task import Task
 from imujoco_minari.variants import BASE, Variant
 
@@ -33,7 +33,7 @@ _HISTORY_KEYS = (
 
 
 def with_history(record: dict[str, Any], before: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the record of an improved policy, with what is kept of its record before."""
+    """Return the record of an improved policy. Its entry ``before`` keeps part of the earlier record."""
     return record | ({"before": {key: before.get(key) for key in _HISTORY_KEYS}} if before else {})
 
 
@@ -56,11 +56,7 @@ def is_better(record: Mapping[str, Any], task: Task, policies: Path) -> bool:
 
 
 def install(
-    variant: Variant,
-    folder: Path,
-    record: dict[str, Any],
-    plan: Plan,
-    on_interval: OnInterval = do_nothing,
+    variant: Variant, folder: Path, record: dict[str, Any], plan: Plan, on_interval: OnInterval
 ) -> dict[str, Any]:
     """Copy the policy of a finished run to the policies folder and return its complete record.
 
@@ -84,15 +80,11 @@ def install(
         save_arrays(plan.policies / f"{variant}.agent.safetensors", agent)
     ladder.add_missing(checkpoints, evaluations)
     ladder.climb(plan, folder / "climb", on_interval)
-    return _write_policy(variant, folder / "best.safetensors", record | {"ladder": ladder.rungs}, plan)
+    return _write_policy(ladder, folder / "best.safetensors", record)
 
 
 def renew_ladder(
-    variant: Variant,
-    folder: Path,
-    record: dict[str, Any],
-    plan: Plan,
-    on_interval: OnInterval = do_nothing,
+    variant: Variant, folder: Path, record: dict[str, Any], plan: Plan, on_interval: OnInterval
 ) -> dict[str, Any]:
     """Measure the ladder of a finished policy again, add rungs that it lacks, and return its record.
 
@@ -112,11 +104,12 @@ def renew_ladder(
     ladder = Ladder(variant, mean_return(record), plan.policies)
     ladder.add_known()
     ladder.climb(plan, folder / "climb", on_interval)
-    return _write_policy(variant, weights, record | {"ladder": ladder.rungs}, plan)
+    return _write_policy(ladder, weights, record)
 
 
-def _write_policy(variant: Variant, weights: Path, record: dict[str, Any], plan: Plan) -> dict[str, Any]:
-    save_arrays(plan.policies / f"{variant}.safetensors", load_arrays(weights))
+def _write_policy(ladder: Ladder, weights: Path, record: dict[str, Any]) -> dict[str, Any]:
+    record = record | {"ladder": ladder.rungs}
+    save_arrays(ladder.policies / f"{ladder.variant}.safetensors", load_arrays(weights))
     # The record is written last. Its presence means that the policy is complete.
-    write_json(plan.policies / f"{variant}.json", record)
+    write_json(ladder.policies / f"{ladder.variant}.json", record)
     return record

@@ -45,10 +45,11 @@ class Task:
 
     def place(self, steps: int) -> Variant | None:
         """Return the variant of the path to train in after ``steps`` steps, or None if the path is empty."""
-        if not self.path:
+        path = self.path
+        if not path:
             return None
-        stones, approach = len(self.path) - 1, round(self.settings.approach_share * self.settings.max_steps)
-        return self.path[min(stones, stones * steps // max(1, approach))]
+        stones, approach = len(path) - 1, round(self.settings.approach_share * self.settings.max_steps)
+        return path[min(stones, stones * steps // max(1, approach))]
 
     def environment(self, among: tuple[Variant, ...] = ()) -> gym.Env[Any, Any]:
         """Return a new environment of the variant, or of all variants in ``among``."""

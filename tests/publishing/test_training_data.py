@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import minari
 import pytest
+from tiny_training import TINY
 
 from imujoco_minari.cli.app import run
 from imujoco_minari.errors import DatasetError, DatasetExistsError, PolicyNotFoundError, TrainingError
@@ -22,17 +22,6 @@ from imujoco_minari.variants import Ranges, Variant
 from imujoco_minari.verification import verify
 
 LIGHT_LEG = Variant.parse("hopper-massdec_25_leggeom")
-TINY: dict[str, Any] = {
-    "exploration_steps": 150,
-    "evaluate_every": 100,
-    "max_steps": 350,
-    "settling_steps": 100,
-    "batch_size": 16,
-    "ranking_episodes": 1,
-    "choosing_episodes": 2,
-    "deciding_episodes": 3,
-    "confirming_episodes": 3,
-}
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 

@@ -12,6 +12,7 @@ import gymnasium as gym
 import minari
 import numpy as np
 import pytest
+from tiny_training import TINY
 
 from imujoco_minari.cli.app import run as run_command
 from imujoco_minari.cli.training import describe_trained
@@ -40,17 +41,6 @@ from imujoco_minari.variants import Variant
 
 BASE = Variant.parse("hopper-base")
 LIGHT_LEG = Variant.parse("hopper-massdec_25_leggeom")
-TINY: dict[str, Any] = {
-    "exploration_steps": 150,
-    "evaluate_every": 100,
-    "max_steps": 350,
-    "settling_steps": 100,
-    "batch_size": 16,
-    "ranking_episodes": 1,
-    "choosing_episodes": 2,
-    "deciding_episodes": 3,
-    "confirming_episodes": 3,
-}
 
 
 # Two milder variants for 200 of the 350 steps, which end in the second and third intervals.

@@ -20,7 +20,7 @@ from imujoco_minari.pictures.gallery.pages import index_page, variant_page
 from imujoco_minari.pictures.rendering.files import check_format
 from imujoco_minari.policies.tiers import RANDOM
 from imujoco_minari.storage.files import write_text
-from imujoco_minari.variants import BASE, Variant, catalogue, known_robots
+from imujoco_minari.variants import Variant, catalogue, known_robots
 
 STATE = "gallery.json"
 FORMAT = 2
@@ -145,6 +145,6 @@ def _update_state(known: dict[str, Any], entry: Entry, clip: Clip, key: str) -> 
 
 def _sort_by_catalogue(variants: set[Variant]) -> list[Variant]:
     """Return variants in the catalogue's order: each base before its variants, unlisted variants last."""
-    listed = [v for robot in known_robots() for v in (Variant.parse(f"{robot}-{BASE}"), *catalogue(robot))]
+    listed = [v for robot in known_robots() for v in (Variant(robot), *catalogue(robot))]
     rank = {variant: number for number, variant in enumerate(listed)}
     return sorted(variants, key=lambda variant: (rank.get(variant, len(rank)), variant))

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imujoco_minari.errors import DatasetError
 from imujoco_minari.loading import Arrays, arrays
@@ -25,14 +24,13 @@ from imujoco_minari.pictures.plotting.style import (
     save,
     settings,
 )
+from imujoco_minari.policies import Array
 from imujoco_minari.storage import minari_root
 from imujoco_minari.variants import BASE, Variant
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-Array = NDArray[Any]
 
 BINS = 60
 # The bins cover the values between these percentiles. The few extremes of a fall would flatten the rest.
@@ -74,7 +72,7 @@ def load_series(dataset_id: str) -> Series:
         if not np.isfinite(getattr(data, name)).all():
             raise DatasetError(f"{dataset_id} cannot be drawn: its {name} hold NaN or infinity")
     return Series(
-        dataset_id.rpartition("/")[2].rpartition("-v")[0],
+        _label(dataset_id),
         robots[0],
         tuple(sorted({origin.tier for origin in data.table})),
         all(origin.category == BASE for origin in data.table),
@@ -88,10 +86,15 @@ def with_bases(series: Sequence[Series]) -> tuple[list[Series], list[str]]:
         Variant(one.robot).dataset_id(tier) for one in series if not one.is_base for tier in one.tiers
     )
     labels = {one.label for one in series}
-    bases = [name for name in wanted if name.rpartition("/")[2].rpartition("-v")[0] not in labels]
-    found = [load_series(name) for name in bases if minari_root.exists(name)]
-    ordered = sorted([*found, *series], key=lambda one: not one.is_base)
-    return ordered, [name for name in bases if not minari_root.exists(name)]
+    bases = [name for name in wanted if _label(name) not in labels]
+    present = [name for name in bases if minari_root.exists(name)]
+    ordered = sorted([*map(load_series, present), *series], key=lambda one: not one.is_base)
+    return ordered, [name for name in bases if name not in present]
+
+
+def _label(dataset_id: str) -> str:
+    """Return a dataset id without namespace and version."""
+    return dataset_id.rpartition("/")[2].rpartition("-v")[0]
 
 
 def plot_datasets(

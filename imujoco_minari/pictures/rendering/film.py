@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import repeat
 from typing import Any
 
@@ -165,19 +166,29 @@ def captioned(picture: Image.Image, variant: Variant, title: str = "", state: st
         (below, change(variant), ink, state, INK),
     ):
         # The variants that change much have long names; the text on the right keeps up to half of the room.
-        wanted = ImageFont.load_default(size * 0.85).getlength(right_text) + size
-        font = _fitting_font(left_text, size, room - min(wanted, room / 2) if right_text else room)
-        draw.text((margin, height), left_text, left_ink, font)
-        free = room - font.getlength(left_text) - size
-        draw.text((right, height), right_text, right_ink, _fitting_font(right_text, size * 0.85, free), "ra")
+        wanted = _width(right_text, size * 0.85) + size
+        left = _fitting_size(left_text, size, room - min(wanted, room / 2) if right_text else room)
+        draw.text((margin, height), left_text, left_ink, _font(left))
+        fitting = _fitting_size(right_text, size * 0.85, room - _width(left_text, left) - size)
+        draw.text((right, height), right_text, right_ink, _font(fitting), "ra")
     return whole
 
 
-def _fitting_font(text: str, size: float, room: float) -> Any:
-    """Return the font of a size, or a smaller one if the text is wider than ``room`` pixels."""
-    font = ImageFont.load_default(size)
-    width = font.getlength(text)
-    return font if width <= room or room <= 0 else ImageFont.load_default(max(6.0, size * room / width))
+def _fitting_size(text: str, size: float, room: float) -> float:
+    """Return a size of the font, or a smaller one if the text is wider than ``room`` pixels."""
+    width = _width(text, size)
+    return size if width <= room or room <= 0 else max(6.0, size * room / width)
+
+
+# The captions of a motion's frames differ in one text only.
+@lru_cache(maxsize=64)
+def _width(text: str, size: float) -> float:
+    return float(_font(size).getlength(text))
+
+
+@lru_cache(maxsize=16)
+def _font(size: float) -> Any:
+    return ImageFont.load_default(size)
 
 
 def _join_side_by_side(pictures: Sequence[Image.Image]) -> Image.Image:

@@ -11,11 +11,8 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-from imujoco_minari.envs.mjcf import round_geoms
-
-Floats = NDArray[np.float64]
+from imujoco_minari.envs.mjcf import Floats, round_geoms
 
 # Degrees. The camera looks slightly from the front and from vertical, so a far leg shows behind a near one.
 AZIMUTH, ELEVATION = 104.0, -11.0
@@ -64,15 +61,6 @@ class Camera:
 
     lookat: Floats
     distance: float
-
-    def project(self, points: Floats, aspect: float) -> Floats:
-        """Return where ``points`` (frames, n, 3) lie in the picture: (frames, n, 2), each within -1 to 1."""
-        right, up, forward = axes()
-        relative = points - self.lookat[:, None, :]
-        depth = self.distance + relative @ forward
-        tangent = np.tan(np.radians(FIELD_OF_VIEW) / 2)
-        x, y = relative @ right / (depth * tangent * aspect), relative @ up / (depth * tangent)
-        return np.stack([x, y], axis=-1)
 
 
 def axes() -> tuple[Floats, Floats, Floats]:

@@ -11,14 +11,12 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
+from imujoco_minari.envs.mjcf import Floats
 from imujoco_minari.envs.registration import make
 from imujoco_minari.policies import Policy
 from imujoco_minari.policies.rollouts import roll_out
 from imujoco_minari.variants import Variant
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,24 +10,21 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass
-from typing import Any
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
 from imujoco_minari.envs.mjcf import compile_mjcf, model_text
 from imujoco_minari.envs.registration import make
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError
 from imujoco_minari.pictures.rendering.motion import Motion, PositionRecorder
+from imujoco_minari.policies import Array
 from imujoco_minari.storage import containment, file_format, minari_root
 from imujoco_minari.storage.metadata import read_metadata
 from imujoco_minari.storage.missing import not_in_root
 from imujoco_minari.variants import Variant, specification
 from imujoco_minari.variants.original import variant_of
 from imujoco_minari.verification.identity import dataset_models
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)

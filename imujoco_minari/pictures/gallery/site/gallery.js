@@ -50,7 +50,7 @@ function startFilters(form) {
     );
   }
 
-  // A choice that the other filters leave nothing of is not offered.
+  // Disables the choices that no variant has under the other filters.
   function offer(name, wanted) {
     const left = new Set(cards.filter((card) => matches(card, wanted, name)).flatMap((card) => values(card, name)));
     for (const option of form.elements[name].options) {
@@ -94,7 +94,7 @@ function startFilters(form) {
 }
 
 async function copyText(text) {
-  // The clipboard's own interface is there on secure pages only.
+  // Only secure pages have the clipboard's own interface.
   if (navigator.clipboard) {
     try {
       await navigator.clipboard.writeText(text);

@@ -1,0 +1,17 @@
+"""Hyperparameters of a training run of seconds, which still explores, learns, settles and evaluates."""
+
+from __future__ import annotations
+
+from typing import Any
+
+TINY: dict[str, Any] = {
+    "exploration_steps": 150,
+    "evaluate_every": 100,
+    "max_steps": 350,
+    "settling_steps": 100,
+    "batch_size": 16,
+    "ranking_episodes": 1,
+    "choosing_episodes": 2,
+    "deciding_episodes": 3,
+    "confirming_episodes": 3,
+}
