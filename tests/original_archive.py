@@ -17,7 +17,7 @@ import numpy as np
 import torch
 
 from imujoco_minari.envs import environment_spec
-from imujoco_minari.envs.external_mjcf import canonical_foreign_mjcf
+from imujoco_minari.envs.external_mjcf import canonical_external_mjcf
 from imujoco_minari.policies import Policy, RandomPolicy
 from imujoco_minari.variants import specification
 from imujoco_minari.variants.original import OriginalVariant
@@ -161,7 +161,7 @@ def table(
 ) -> Any:
     """Rows as the original's authors recorded them, of steps in the variant's own model."""
     parsed = OriginalVariant.parse(variant)
-    mjcf = canonical_foreign_mjcf(gym_xml(variant), parsed.robot, variant)
+    mjcf = canonical_external_mjcf(gym_xml(variant), parsed.robot, variant)
     env = gym.make(environment_spec(parsed, mjcf))
     policy = policy or RandomPolicy(specification(parsed.robot).action_size)
     rng, rows = np.random.default_rng(seed), []

@@ -32,7 +32,7 @@ _POSITIONED = ("geom", "joint", "site", "camera", "light", "inertial")
 _TURNED = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
 
 
-def canonical_foreign_mjcf(text: str, robot: str, name: str) -> str:
+def canonical_external_mjcf(text: str, robot: str, name: str) -> str:
     """Return the canonical text of a model of ``robot`` that came from outside.
 
     Args:

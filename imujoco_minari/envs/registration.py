@@ -120,6 +120,11 @@ def dataset_spec(name: str, variants: Sequence[Variant | str], models: Mapping[s
     return collection_spec(name, variants, models)
 
 
+def dataset_name(dataset_id: str) -> str:
+    """Return the name in a dataset id, without namespace and version."""
+    return dataset_id.rpartition("/")[2].rpartition("-v")[0]
+
+
 def stored_models(arguments: Any) -> dict[str, str]:
     """Return variant id -> MJCF text for the models in the ``kwargs`` of a dataset's ``env_spec``.
 

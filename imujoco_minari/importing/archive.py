@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from imujoco_minari.envs.external_mjcf import canonical_foreign_mjcf
+from imujoco_minari.envs.external_mjcf import canonical_external_mjcf
 from imujoco_minari.envs.untrusted_mjcf import MAX_BYTES
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError, StorageError, VariantError, suggestion
 from imujoco_minari.importing.safe_unpack import open_zip, unpack
@@ -117,7 +117,7 @@ class Archive:
         with member.on_disk() as path, path.open("rb") as file:
             data = file.read(MAX_BYTES + 1)
         text = data.decode("utf-8", errors="replace")
-        return text, canonical_foreign_mjcf(text, variant.robot, str(member))
+        return text, canonical_external_mjcf(text, variant.robot, str(member))
 
 
 def of_kind(

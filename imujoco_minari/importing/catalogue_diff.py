@@ -11,7 +11,7 @@ import h5py
 import mujoco
 
 from imujoco_minari.envs.differences import Difference, differing, model_differences
-from imujoco_minari.envs.external_mjcf import canonical_foreign_mjcf
+from imujoco_minari.envs.external_mjcf import canonical_external_mjcf
 from imujoco_minari.envs.mjcf import canonical_mjcf, compile_mjcf
 from imujoco_minari.errors import ImujocoError
 from imujoco_minari.importing.archive import Archive
@@ -108,7 +108,7 @@ def published_models() -> dict[OriginalVariant, str]:
             with h5py.File(file_format.main_file(folder / "data"), "r") as file:
                 variant = OriginalVariant.parse(str(file.attrs["variant"]))
                 # What lies in the root may come from anywhere, as a dataset that was pulled does.
-                text = canonical_foreign_mjcf(str(file.attrs["mjcf"]), variant.robot, folder.name)
+                text = canonical_external_mjcf(str(file.attrs["mjcf"]), variant.robot, folder.name)
         except (OSError, KeyError, ImujocoError):
             continue
         models.setdefault(variant, text)

@@ -127,10 +127,8 @@ def window_starts(data: Arrays, length: int, *, padded: bool = False) -> Array:
     return starts
 
 
-def gather_transitions(data: Arrays, rows: Array | slice) -> TransitionBatch:
+def gather_transitions(data: Arrays, rows: Array) -> TransitionBatch:
     """Return the transitions in these rows."""
-    if isinstance(rows, slice):
-        return TransitionBatch(*(getattr(data, name)[rows] for name in TransitionBatch._fields))
     return TransitionBatch(*(_take(getattr(data, name), rows) for name in TransitionBatch._fields))
 
 

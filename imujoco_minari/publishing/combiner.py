@@ -20,7 +20,7 @@ from gymnasium.envs.registration import EnvSpec
 from minari import MinariDataset
 from minari.dataset.minari_storage import MinariStorage
 
-from imujoco_minari.envs.registration import dataset_spec, stored_models
+from imujoco_minari.envs.registration import dataset_name, dataset_spec, stored_models
 from imujoco_minari.errors import ArgumentError, DatasetError, DatasetExistsError, ImujocoError
 from imujoco_minari.publishing.sources import Source, check_sources, open_source
 from imujoco_minari.publishing.staleness import check_current
@@ -280,15 +280,11 @@ def _collection_env_spec(
     models = _original_models(sources)
     names = list(dict.fromkeys(str(attrs["variant"]) for attrs in attributes if "variant" in attrs))
     if names:
-        return dataset_spec(_collection_name(dataset_id), names, models)
+        return dataset_spec(dataset_name(dataset_id), names, models)
     specs = [source.env_spec for source in sources]
     if any(spec != specs[0] for spec in specs):
         raise DatasetError("the datasets have different environments, and these are not variants")
     return specs[0]
-
-
-def _collection_name(dataset_id: str) -> str:
-    return dataset_id.rpartition("/")[2].rpartition("-v")[0]
 
 
 def _original_models(sources: Sequence[Source]) -> dict[str, str]:

@@ -7,7 +7,7 @@ publication is never visible.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,16 +18,15 @@ from gymnasium.envs.registration import EnvSpec
 from minari.data_collector import EpisodeBuffer
 
 from imujoco_minari.envs.mjcf import mjcf_sha256
-from imujoco_minari.errors import (
-    DatasetError,
-    DatasetExistsError,
-    clipped,
-)
+from imujoco_minari.errors import DatasetError, DatasetExistsError, clipped
 from imujoco_minari.storage import file_format, minari_root, transactions
 from imujoco_minari.storage.metadata import complete_metadata, read_metadata
 from imujoco_minari.storage.quiet_file import writing
 from imujoco_minari.storage.writer import new_storage
 from imujoco_minari.verification import inspect
+
+# Metadata keys that identify the origin of given episodes.
+_ORIGIN_KEYS = ("source", "source_sha256", "seed", "policy_sha256")
 
 
 @dataclass(frozen=True)
@@ -94,27 +93,40 @@ def publish_episodes(
         StorageError: if the root cannot be written.
         DatasetError: if the check of the new dataset fails.
     """
-    dataset_id = dataset.dataset_id
     origin = {key: dataset.metadata[key] for key in _ORIGIN_KEYS if key in dataset.metadata}
-    if found := find_published(dataset_id, origin, force=force):
+    if found := find_published(dataset.dataset_id, origin, force=force):
         return found
-    start = time.monotonic()
-    with transactions.staging(dataset_id) as folder:
-        staged = folder / "dataset"
-        staged.mkdir()
+
+    def write(data: Path) -> None:
         env = gym.make(spec)
-        storage = new_storage(staged / "data", env, dataset.attributes)
+        storage = new_storage(data, env, dataset.attributes)
         env.close()
         try:
             storage.update_episodes(episodes)
         finally:
             storage.flush()
-        created = check_and_commit(staged, dataset, force)
-    return read_outcome(dataset_id, created=created, seconds=time.monotonic() - start)
+
+    return publish_written(dataset, write, force=force)
 
 
-# Metadata keys that identify the origin of given episodes.
-_ORIGIN_KEYS = ("source", "source_sha256", "seed", "policy_sha256")
+def publish_written(dataset: NewDataset, write: Callable[[Path], None], *, force: bool) -> Published:
+    """Publish a dataset whose episodes a function writes.
+
+    Args:
+        dataset: the dataset, without its episodes.
+        write: writes the episodes as a Minari storage into the new folder that it is given.
+        force: replace the dataset that has the id.
+
+    Raises:
+        ImujocoError: what :func:`publish_episodes` raises.
+    """
+    start = time.monotonic()
+    with transactions.staging(dataset.dataset_id) as folder:
+        staged = folder / "dataset"
+        staged.mkdir()
+        write(staged / "data")
+        created = _check_and_commit(staged, dataset, force)
+    return _read_outcome(dataset.dataset_id, created=created, seconds=time.monotonic() - start)
 
 
 def find_published(dataset_id: str, asked: Mapping[str, Any], *, force: bool) -> Published | None:
@@ -139,7 +151,7 @@ def find_published(dataset_id: str, asked: Mapping[str, Any], *, force: bool) ->
             f"{dataset_id} is already published, but differs: it has {has}; you asked for {wanted}. "
             "Replace it with --force (force=True), or choose another tier"
         )
-    return read_outcome(dataset_id, created=False)
+    return _read_outcome(dataset_id, created=False)
 
 
 def _format_value(key: str, value: Any) -> str:
@@ -151,7 +163,7 @@ def _format_value(key: str, value: Any) -> str:
     return f"{key.removesuffix('_sha256')} {clipped(value)}"
 
 
-def check_and_commit(staged: Path, dataset: NewDataset, force: bool) -> bool:
+def _check_and_commit(staged: Path, dataset: NewDataset, force: bool) -> bool:
     """Complete, check and commit a staged dataset; return False if another process was faster."""
     data, dataset_id = staged / "data", dataset.dataset_id
     with writing(file_format.main_file(data)) as file:
@@ -175,7 +187,7 @@ def check_and_commit(staged: Path, dataset: NewDataset, force: bool) -> bool:
     return True
 
 
-def read_outcome(dataset_id: str, *, created: bool, seconds: float = 0.0) -> Published:
+def _read_outcome(dataset_id: str, *, created: bool, seconds: float = 0.0) -> Published:
     """Return the outcome of publishing a dataset that now is in the root.
 
     Raises:

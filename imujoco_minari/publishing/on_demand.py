@@ -50,7 +50,7 @@ def load_dataset(dataset_id: str, *, jobs: int = 1, quiet: bool = False) -> Mina
             _publish(_recipe(dataset_id), jobs, quiet)
         else:
             _publish_missing(collection, jobs, quiet)
-            combine_datasets(collection.sources, dataset_id)
+            return combine_datasets(collection.sources, dataset_id)
     with minari_root.storage_errors():
         return MinariDataset(folder / "data")
 

@@ -4,31 +4,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 from imujoco_minari.envs.mjcf import canonical_mjcf
-from imujoco_minari.errors import (
-    ArgumentError,
-    ImujocoError,
-    JobError,
-    whole_number,
-)
+from imujoco_minari.errors import ArgumentError, ImujocoError, JobError, whole_number
 from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies import Policy
 from imujoco_minari.policies.references import reference_scores
 from imujoco_minari.policies.tiers import MEDIUM_REPLAY
-from imujoco_minari.publishing.new_dataset import (
-    NewDataset,
-    Published,
-    check_and_commit,
-    find_published,
-    read_outcome,
-)
+from imujoco_minari.publishing.new_dataset import NewDataset, Published, find_published, publish_written
 from imujoco_minari.publishing.recipes import Recipe, algorithms, description
 from imujoco_minari.publishing.shares import OnEpisode, record_shares
 from imujoco_minari.publishing.training_data import record_medium_replay
-from imujoco_minari.storage import transactions
 from imujoco_minari.storage.metadata import provenance
 from imujoco_minari.variants import EXPERT, Ranges, Variant
 
@@ -108,13 +97,11 @@ def publish_recipe(
     metadata |= provenance(
         algorithm=algorithms([part.policy for part in made_by]), description=description(recipe, made_by)
     )
-    with transactions.staging(recipe.dataset_id) as folder:
-        staged = folder / "dataset"
-        staged.mkdir()
-        record_shares(recipe, made_by, staged / "data", jobs, on_episode)
-        dataset = NewDataset(recipe.dataset_id, recipe.attributes, canonical_mjcf(recipe.nominal), metadata)
-        created = check_and_commit(staged, dataset, force)
-    return read_outcome(recipe.dataset_id, created=created, seconds=time.monotonic() - start)
+    dataset = NewDataset(recipe.dataset_id, recipe.attributes, canonical_mjcf(recipe.nominal), metadata)
+    made = publish_written(
+        dataset, lambda data: record_shares(recipe, made_by, data, jobs, on_episode), force=force
+    )
+    return replace(made, seconds=time.monotonic() - start)
 
 
 def publish_all(

@@ -102,9 +102,8 @@ class Recipe:
             made_by: the parts of the dataset.
         """
         policies = [part.policy for part in made_by]
-        drawn = self.attributes if isinstance(self.variant, Ranges) else {}
         return {
-            **{key: drawn[key] for key in file_format.RANGES if key in drawn},
+            **{key: value for key, value in self.attributes.items() if key in file_format.RANGES},
             "total_episodes": self.episodes,
             "seed": self.seed,
             "policy_sha256": ",".join(policy.sha256 for policy in policies),

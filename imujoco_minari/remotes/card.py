@@ -120,7 +120,7 @@ def namespace_card(namespace: str, remote: str, datasets: Mapping[str, Mapping[s
         [
             front_matter(f"iMuJoCo, rebuilt ({namespace})", license_, steps),
             f"# {namespace}\n\nDatasets of MuJoCo robots, each with one physical parameter changed, "
-            " in [Minari](https://minari.farama.org)'s format, made with the Python "
+            "in [Minari](https://minari.farama.org)'s format, made with the Python "
             "package `imujoco-minari`.\n",
             "## How to load them\n\n" + _loading_instructions(example, remote),
             f"## The datasets\n\n{len(datasets)} datasets, {steps:,} steps.\n\n"

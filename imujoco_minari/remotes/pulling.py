@@ -6,7 +6,6 @@ A dataset becomes visible after :mod:`imujoco_minari.verification` found nothing
 
 from __future__ import annotations
 
-import platform
 import time
 from collections.abc import Iterator, Sequence
 from collections.abc import Set as AbstractSet
@@ -15,13 +14,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError
 from imujoco_minari.remotes.connecting import connect
 from imujoco_minari.remotes.stores import Store, metadata, remote_errors
 from imujoco_minari.storage import copying, file_format, minari_root, transactions
-from imujoco_minari.storage.metadata import read_metadata, sources
+from imujoco_minari.storage.metadata import processor, read_metadata, sources
 from imujoco_minari.verification import Finding, inspect
 from imujoco_minari.verification.findings import differs
 
@@ -189,8 +186,7 @@ def _has_same_simulator(stated: dict[str, Any]) -> bool:
     return (
         isinstance(versions, dict)
         and {name: version(name) for name in ("mujoco", "gymnasium")}.items() <= versions.items()
-        and stated.get("machine") == platform.machine()
-        and stated.get("simd") == np.show_config(mode="dicts")["SIMD Extensions"]["found"]
+        and all(stated.get(key) == value for key, value in processor().items())
     )
 
 

@@ -11,6 +11,7 @@ import hashlib
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -66,16 +67,21 @@ def ranges_attributes(ranges: Ranges, tier: str) -> dict[str, Any]:
     }
 
 
-def stated_ranges(attributes: Mapping[str, Any]) -> Ranges | None:
-    """Return the ranges that the attributes or the metadata of a dataset state; None if it has none.
+def stated_ranges(metadata: Mapping[str, Any]) -> Ranges:
+    """Return the ranges that the metadata of a dataset state.
 
     Raises:
-        ImujocoError, ValueError, TypeError: if they are not valid.
+        KeyError: if they state none.
+        ImujocoError, ValueError, TypeError, AttributeError: if they are not valid.
     """
-    if "ranges" not in attributes:
-        return None
-    ranges = json.loads(attributes["ranges"])
-    return Ranges(str(attributes.get("robot")), ranges, str(attributes.get("distribution")))
+    robot, distribution = str(metadata.get("robot")), str(metadata.get("distribution"))
+    return _parsed_ranges(robot, metadata["ranges"], distribution)
+
+
+@lru_cache(maxsize=4)
+def _parsed_ranges(robot: str, ranges: str, distribution: str) -> Ranges:
+    # A check of a dataset compares every episode with the ranges.
+    return Ranges(robot, json.loads(ranges), distribution)
 
 
 def episode_name(number: int) -> str:

@@ -101,14 +101,21 @@ def provenance(
         "minari_version": versions["minari"],
         "requirements": requirements(versions),
         "versions": versions,
+        **processor(),
+    }
+
+
+def processor() -> dict[str, Any]:
+    """Return the metadata about the processor of this machine."""
+    # BLAS and the C library round the last bit differently with and without these instructions.
+    return {
         "machine": platform.machine(),
-        # BLAS and the C library round the last bit differently with and without these instructions.
         "simd": np.show_config(mode="dicts")["SIMD Extensions"]["found"],
     }
 
 
-def complete_metadata(data: Path, metadata: Mapping[str, Any]) -> dict[str, Any]:
-    """Add metadata and the digests of both files to ``metadata.json``; return the complete metadata.
+def complete_metadata(data: Path, metadata: Mapping[str, Any]) -> None:
+    """Add metadata and the digests of both files to ``metadata.json``.
 
     This is the last step before a dataset is committed.
 
@@ -122,4 +129,3 @@ def complete_metadata(data: Path, metadata: Mapping[str, Any]) -> dict[str, Any]
     whole[file_format.FILE_DIGEST] = file_format.file_sha256(main_file)
     whole[file_format.METADATA_DIGEST] = file_format.metadata_sha256(whole)
     path.write_text(json.dumps(whole), "utf-8")
-    return whole

@@ -9,12 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from imujoco_minari.errors import (
-    DatasetError,
-    DatasetIdError,
-    ImujocoError,
-    StorageError,
-)
+from imujoco_minari.errors import DatasetError, DatasetIdError, ImujocoError, StorageError
 
 # Minari's grammar of ids, without the leading dots, double slashes and ".." that could leave the root.
 _DATASET_ID = re.compile(r"(?:[A-Za-z0-9_][-\w]*/)+[A-Za-z0-9_][-\w]*-v[0-9]{1,6}", re.ASCII)

@@ -72,9 +72,8 @@ def verify(
         []
     """
     data = minari_root.dataset_folder(dataset_id) / "data"
-    if published:
-        # A missing entry fails before the work.
-        published_entry(dataset_id)
+    # A missing entry fails before the work.
+    wanted = published_entry(dataset_id) if published else None
     findings = Findings()
     for _ in range(_ATTEMPTS):
         try:
@@ -90,8 +89,8 @@ def verify(
                 break
         except FileNotFoundError:
             raise not_in_root(dataset_id) from None
-    if published:
-        findings += compare_with_published(dataset_id, metadata)
+    if wanted is not None:
+        findings += compare_with_published(wanted, metadata)
     findings.clip()
     return findings
 

@@ -71,7 +71,7 @@ class Episode:
 
     Attributes:
         name: of its group, ``episode_<number>``.
-        linked: it lies in another file, and its number is that of its source.
+        linked: whether it is in another file. It then has the number that it has there.
         attributes: of its group.
         arrays: by name.
     """

@@ -1,7 +1,7 @@
-"""A dataset's check but for its replay, in parts of some episodes each that processes can share.
+"""Checks everything of a dataset except its replay, in parts that processes can share.
 
-A part looks at its episodes and remembers what the whole needs of them: steps, variants, digests. Merging
-the parts adds what only the whole can tell.
+Each part checks some episodes, and keeps their steps, variants, digests and so on. Merging the parts adds
+the checks that need all episodes.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from imujoco_minari.verification.findings import MAX_FINDINGS, Finding, Findings
 
 @dataclass
 class PartialCheck:
-    """What the check of some of a dataset's episodes found.
+    """The result of checking some of a dataset's episodes.
 
     Attributes:
         findings: what is wrong with them.
         readable: whether all of them could be read.
-        sound: whether all of them are whole enough to be replayed.
+        sound: whether all of them are complete enough to be replayed.
         intact: whether no digest differs.
-        linked: whether all of them lie in other files.
-        episodes: how many there are in the whole dataset.
-        steps: of all of the part's.
-        identities: of the part's, each once, as the attributes that name variant and tier.
-        runs: numbers and attributes of the first episodes that state other attributes of their policy.
-        unreplayed: number of the part's that were imported without seeds.
-        returns: of the part's, as stated.
-        digests: of the part's, as stored.
+        linked: whether all of them are links to other files.
+        episodes: number of episodes in the whole dataset.
+        steps: number of their steps.
+        identities: the attributes that name variant and tier, each combination once.
+        runs: see :class:`~imujoco_minari.verification.expected.Content`.
+        unreplayed: how many of them were imported without seeds.
+        returns: their returns, as stated.
+        digests: their digests, as stored.
     """
 
     findings: list[Finding] = field(default_factory=list)
@@ -70,7 +70,7 @@ class PartialCheck:
 
 
 def check(data: Path, metadata: Mapping[str, Any]) -> Findings:
-    """Check the Minari storage in the folder ``data`` in all but the replay of its episodes.
+    """Check everything of the Minari storage in the folder ``data`` except the replay of its episodes.
 
     Args:
         data: the folder with ``main_data.hdf5`` and ``metadata.json``.
@@ -94,7 +94,7 @@ def check_part(data: Path, metadata: Mapping[str, Any], number: int = 0, count: 
 
 
 def merge(data: Path, metadata: Mapping[str, Any], parts: Sequence[PartialCheck]) -> Findings:
-    """Return what the parts found, and what only the whole tells."""
+    """Return what the parts found, and what the checks of all episodes together find."""
     findings = Findings((finding for part in parts for finding in part.findings), replayable=False)
     if all(part.readable for part in parts):
         try:
@@ -106,7 +106,7 @@ def merge(data: Path, metadata: Mapping[str, Any], parts: Sequence[PartialCheck]
 
 
 def unreadable(data: Path, error: Exception) -> Finding:
-    """Return the finding that an error in reading a dataset is."""
+    """Return the finding for an error in reading a dataset."""
     return Finding(str(data), f"cannot be read: {type(error).__name__}: {str(error)[:200]}")
 
 
@@ -165,7 +165,7 @@ def _check_episode(
 def _check_whole(
     findings: Findings, data: Path, metadata: Mapping[str, Any], parts: Sequence[PartialCheck]
 ) -> None:
-    """Add what the whole tells to the findings."""
+    """Add the findings of the checks that need all episodes."""
     totals = {"total_episodes": parts[0].episodes, "total_steps": sum(part.steps for part in parts)}
     obstacles = list(differing("metadata.json/", metadata, totals, ", as in the file"))
     findings += obstacles
@@ -185,8 +185,9 @@ def _check_whole(
         repeated=len(sealed) - len(set(sealed)),
     )
     findings += identity.whole(root, metadata, content)
-    findings += expected.compare(metadata, content)
-    findings.exceptions = tuple(expected.exceptions(metadata, content))
+    known = expected.known(metadata, content)
+    findings += expected.compare(metadata, content, known)
+    findings.exceptions = tuple(expected.exceptions(metadata, content, known))
     if all(part.intact for part in parts):
         findings += digests.whole(sealed, root, metadata, all(part.linked for part in parts))
     findings.replayable = True

@@ -1,4 +1,4 @@
-"""Are the bytes those that were published? Digests of the files, of every array, and of the whole."""
+"""Checks the digests of the files, of every array, and of the whole dataset."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from imujoco_minari.verification.findings import Finding, differing, differs, sa
 
 
 def files(data: Path, metadata: Mapping[str, Any]) -> Iterator[Finding]:
-    """Report files that have changed since they were sealed, in whatever byte."""
+    """Report files that have changed since they were published."""
     main_file = file_format.main_file(data)
     for key, name, digest in (
         (file_format.METADATA_DIGEST, "metadata.json", file_format.metadata_sha256(metadata)),
@@ -54,8 +54,8 @@ def whole(
     Args:
         episodes: the digests of its episodes, in their order.
         root: the attributes of its file.
-        metadata: what its ``metadata.json`` says.
-        linked: it is a linked collection.
+        metadata: the content of its ``metadata.json``.
+        linked: whether it is a linked collection.
     """
     if linked:
         yield from _linked(episodes, metadata)

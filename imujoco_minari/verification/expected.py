@@ -35,7 +35,7 @@ _REFERENCES = (
 
 @dataclass(frozen=True)
 class Content:
-    """What the episodes of a dataset say together.
+    """A summary of what the episodes of a dataset state.
 
     Attributes:
         identities: the variants and tiers of the episodes, each pair once.
@@ -53,6 +53,37 @@ class Content:
     unreplayed: int
     returns: Sequence[float]
     repeated: int
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known here of the policies of a dataset that combines no others. Reading them takes a while.
+
+    Attributes:
+        parts: the parts of the dataset; None if one of their policies is not known here.
+        references: the reference scores in the record of the variant's expert; empty if there are none.
+        by_expert: whether this expert made the dataset, so that the scores are the dataset's too.
+    """
+
+    parts: Sequence[TierPart] | None
+    references: Mapping[str, Any]
+    by_expert: bool
+
+
+def known(metadata: Mapping[str, Any], content: Content) -> Known | None:
+    """Return what is known here of a dataset's policies; None for a collection."""
+    if is_collection(metadata):
+        return None
+    variant, tier = content.identities[0]
+    if is_randomised(metadata):
+        # The policies are those of the unchanged robot.
+        variant = variant.base
+    made_by = _known_parts(variant, tier, metadata)
+    expert = {} if isinstance(variant, OriginalVariant) else expert_record(variant)
+    if "random" not in expert:
+        return Known(made_by, {}, False)
+    by_expert = str(expert.get("weights_sha256")) in _policies(metadata)
+    return Known(made_by, reference_scores(variant), by_expert)
 
 
 def is_collection(metadata: Mapping[str, Any]) -> bool:
@@ -115,33 +146,38 @@ def spaces(robot: str) -> dict[str, Any]:
     }
 
 
-def compare(metadata: Mapping[str, Any], content: Content) -> Iterator[Finding]:
-    """Report the metadata of a dataset that this package would have written otherwise."""
+def compare(metadata: Mapping[str, Any], content: Content, here: Known | None) -> Iterator[Finding]:
+    """Report metadata that this package would have written otherwise.
+
+    Args:
+        metadata: the metadata.
+        content: what the episodes state.
+        here: what :func:`known` returns.
+    """
     expected = _identity(metadata, content) | _versions(metadata, content)
     # Collections and datasets of earlier versions state no returns.
     statistics = file_format.return_statistics(content.returns)
     expected |= statistics if statistics.keys() & metadata.keys() else {}
-    if not is_collection(metadata):
-        variant, tier = content.identities[0]
-        if is_randomised(metadata):
-            # The policies are those of the unchanged robot.
-            variant = variant.base
+    if here is not None:
         yield from _origin(metadata, imported=content.unreplayed > 0)
         expected |= _shape_of_references(metadata)
-        known = _known_parts(variant, tier, metadata)
-        if known is not None:
-            expected["algorithm_name"] = ", ".join(dict.fromkeys(part.policy.algorithm for part in known))
-            expected["policy_deterministic"] = all(part.policy.deterministic for part in known)
-            yield from _runs(content.runs, known)
+        if here.parts is not None:
+            algorithms = dict.fromkeys(part.policy.algorithm for part in here.parts)
+            expected["algorithm_name"] = ", ".join(algorithms)
+            expected["policy_deterministic"] = all(part.policy.deterministic for part in here.parts)
+            yield from _runs(content.runs, here.parts)
         if is_randomised(metadata):
             expected |= dict.fromkeys(score for score, _, _ in _REFERENCES)
-        elif _made_by_expert(variant, metadata):
-            expected |= _references(variant)
+        elif here.by_expert:
+            expected |= here.references
     yield from differing("metadata.json/", metadata, expected)
 
 
-def exceptions(metadata: Mapping[str, Any], content: Content) -> Iterator[str]:
-    """Say what cannot be checked of a dataset, in words that follow "sound, but"."""
+def exceptions(metadata: Mapping[str, Any], content: Content, here: Known | None) -> Iterator[str]:
+    """Say what cannot be checked of a dataset, in words that follow "sound, but".
+
+    The arguments are those of :func:`compare`.
+    """
     if content.unreplayed == content.episodes:
         yield "not replayed: it was imported without seeds"
     elif content.unreplayed:
@@ -157,14 +193,11 @@ def exceptions(metadata: Mapping[str, Any], content: Content) -> Iterator[str]:
         yield "it is a collection under the id of a variant"
     if is_recorded(metadata):
         yield "it records a training run, whose seeds are its own"
-    if not is_collection(metadata):
-        variant, tier = content.identities[0]
-        variant = variant.base if is_randomised(metadata) else variant
-        if "policy_sha256" in metadata and _known_parts(variant, tier, metadata) is None:
+    if here is not None:
+        if "policy_sha256" in metadata and here.parts is None:
             yield "the policy that made it is not known here"
-        references = _references(variant)
-        as_expected = references and not any(differing("", metadata, references))
-        if not (as_expected or is_randomised(metadata) or _made_by_expert(variant, metadata)):
+        as_expected = here.references and not any(differing("", metadata, here.references))
+        if not (as_expected or is_randomised(metadata) or here.by_expert):
             yield "its reference scores are not known here"
 
 
@@ -189,8 +222,6 @@ def _randomised_identity(metadata: Mapping[str, Any], content: Content) -> dict[
     try:
         ranges = file_format.stated_ranges(metadata)
     except (ImujocoError, ValueError, TypeError, AttributeError):
-        ranges = None
-    if ranges is None:
         return {"ranges": "ranges of parameters of a robot, and their distribution"}
     attributes = file_format.ranges_attributes(ranges, tier)
     nothing: dict[str, Any] = dict.fromkeys(file_format.IDENTITY)
@@ -248,43 +279,26 @@ def _known_parts(variant: Variant, tier: str, metadata: Mapping[str, Any]) -> li
         return None
     stochastic = metadata.get("policy_deterministic") is False
     try:
-        known = parts(variant, tier, metadata["total_episodes"], path=None, stochastic=stochastic)
+        found = parts(variant, tier, metadata["total_episodes"], path=None, stochastic=stochastic)
     except ImujocoError:
         return None
-    return known if [part.policy.sha256 for part in known] == _policies(metadata) else None
+    return found if [part.policy.sha256 for part in found] == _policies(metadata) else None
 
 
-def _runs(runs: Sequence[tuple[int, Mapping[str, Any]]], known: Sequence[TierPart]) -> Iterator[Finding]:
+def _runs(runs: Sequence[tuple[int, Mapping[str, Any]]], made_by: Sequence[TierPart]) -> Iterator[Finding]:
     """Report episodes that do not state the attributes of the policy that made them."""
     first = 0
-    for part in known:
-        for start, attributes in runs:
-            inside = first <= start < first + part.episodes
-            # The run before may go on into this part.
-            if (inside or (start < first and _next(runs, start) > first)) and attributes != part.attributes:
+    ends = [*(start for start, _ in runs[1:]), float("inf")]
+    for part in made_by:
+        for (start, attributes), end in zip(runs, ends, strict=True):
+            overlap = start < first + part.episodes and end > first
+            if overlap and attributes != part.attributes:
                 wanted = shown(dict(part.attributes))
                 yield Finding(
                     f"{file_format.episode_name(max(start, first))}@",
                     f"states {shown(attributes)}, not {wanted}",
                 )
         first += part.episodes
-
-
-def _next(runs: Sequence[tuple[int, Mapping[str, Any]]], start: int) -> float:
-    return min((other for other, _ in runs if other > start), default=float("inf"))
-
-
-def _made_by_expert(variant: Variant, metadata: Mapping[str, Any]) -> bool:
-    """Return whether the expert that is known here made a dataset, so that its references are known too."""
-    expert = {} if isinstance(variant, OriginalVariant) else expert_record(variant)
-    return "random" in expert and str(expert.get("weights_sha256")) in _policies(metadata)
-
-
-def _references(variant: Variant) -> dict[str, Any]:
-    """Return the reference scores in the record of a variant's expert; empty where it has none."""
-    if isinstance(variant, OriginalVariant) or "random" not in expert_record(variant):
-        return {}
-    return reference_scores(variant)
 
 
 def _shape_of_references(metadata: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,7 +1,7 @@
-"""Do metadata, root and episodes say the same of the dataset, and is it true?
+"""Checks that metadata, file attributes and episodes agree on what the dataset is, and that it is true.
 
-The environment that the metadata names must be one of ours: Minari imports and calls whatever stands
-there, at ``recover_environment()`` and, where a space is missing, at ``load_dataset()``.
+The environment that the metadata names must be one of ours: Minari imports and calls whatever they name
+at ``recover_environment()`` and, if a space is missing, at ``load_dataset()``.
 """
 
 from __future__ import annotations
@@ -10,11 +10,11 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from gymnasium.envs.registration import EnvSpec
 from minari import supported_dataset_versions
 
 from imujoco_minari.envs.registration import (
     current_spec,
+    dataset_name,
     dataset_spec,
     is_entry_point,
     randomised_spec,
@@ -155,8 +155,7 @@ def _drawn(
 ) -> Iterator[Finding]:
     """Report an episode whose variant is not the one that its seed draws from the dataset's ranges."""
     try:
-        ranges = file_format.stated_ranges(metadata)
-        drawn = None if ranges is None else ranges.draw(int(attrs["seed"]))
+        drawn = file_format.stated_ranges(metadata).draw(int(attrs["seed"]))
     except (ImujocoError, ValueError, TypeError, AttributeError, KeyError) as error:
         yield Finding("metadata.json/ranges", f"draw no variant for {name}: {shown(str(error))}")
         return
@@ -185,43 +184,39 @@ def _environment(
     if metadata.get("env_spec") is None:
         yield Finding("metadata.json/env_spec", "is missing: no environment can be recovered")
         return
-    spec, models = current_spec(json.loads(metadata["env_spec"])), dataset_models(metadata)
-    if models and "mjcf" in root:
-        models = {str(variants[0]): str(root["mjcf"])}
+    spec = current_spec(json.loads(metadata["env_spec"]))
     try:
-        name = metadata["dataset_id"].rpartition("/")[2].rpartition("-v")[0]
-        wanted = json.loads(_spec(name, variants, models, metadata).to_json())
+        if expected.is_randomised(metadata):
+            made = randomised_spec(file_format.stated_ranges(metadata))
+        else:
+            models = stored_models(spec["kwargs"])
+            if models and "mjcf" in root:
+                models = {str(variants[0]): str(root["mjcf"])}
+            made = dataset_spec(dataset_name(metadata["dataset_id"]), variants, models)
     except (VariantError, DrawingError) as error:
         yield Finding("metadata.json/env_spec", f"is not the variant's: {error}")
         return
+    wanted = json.loads(made.to_json())
     every = {key: wanted.get(key) for key in sorted(wanted.keys() | spec.keys())}
     yield from differing("metadata.json/env_spec/", spec, every, ", as the variant's environment has")
-
-
-def _spec(
-    name: str, variants: Sequence[Variant], models: Mapping[str, str], metadata: Mapping[str, Any]
-) -> EnvSpec:
-    ranges = file_format.stated_ranges(metadata) if expected.is_randomised(metadata) else None
-    return dataset_spec(name, variants, models) if ranges is None else randomised_spec(ranges)
 
 
 def _root(root: Mapping[str, Any], metadata: Mapping[str, Any]) -> Iterator[Finding]:
     # MuJoCo takes a tenth of a second to import, and the child processes that check parts never come here.
     from imujoco_minari.envs.mjcf import mjcf_sha256, model_text
 
+    tier = str(root.get("tier"))
     try:
-        ranges = file_format.stated_ranges(metadata) if expected.is_randomised(metadata) else None
-        variant = variant_of(root) if ranges is None else ranges.base
+        if expected.is_randomised(metadata):
+            ranges = file_format.stated_ranges(metadata)
+            variant, named = ranges.base, file_format.ranges_attributes(ranges, tier)
+        else:
+            variant = variant_of(root)
+            named = file_format.attributes(variant, tier)
         text, digest = str(root["mjcf"]), plain(root["mjcf_sha256"])
     except (ImujocoError, KeyError) as error:
         yield Finding(file_format.MAIN_FILE, f"lacks a true attribute of its variant: {str(error)[:120]}")
         return
-    tier = str(root.get("tier"))
-    named = (
-        file_format.attributes(variant, tier)
-        if ranges is None
-        else file_format.ranges_attributes(ranges, tier)
-    )
     yield from differing("@", root, named)
     shared = {key: root.get(key) for key in (*named, CATALOGUE, file_format.REPLAYABLE, "mjcf_sha256")}
     yield from differing("metadata.json/", metadata, shared, ", as in the file's attributes")

@@ -26,13 +26,14 @@ _RECIPE = ("total_episodes", "seed", "policy_sha256")
 _MADE_WITH = ("versions", "machine", "simd")
 
 
-def compare_with_published(dataset_id: str, metadata: Mapping[str, Any]) -> Iterator[Finding]:
+def compare_with_published(wanted: Mapping[str, Any], metadata: Mapping[str, Any]) -> Iterator[Finding]:
     """Report how a dataset differs from the one that this version publishes under its id.
 
-    Raises:
-        NotFoundError: when no digest of it is listed.
+    Args:
+        wanted: the :func:`published_entry` of the dataset.
+        metadata: the dataset's metadata.
     """
-    wanted, made_with = published_entry(dataset_id), _content()["made_with"]
+    made_with = _content()["made_with"]
     recipe = {key: wanted[key] for key in _RECIPE}
     found = list(differing("metadata.json/", metadata, recipe, ", as published"))
     if not found:
@@ -51,7 +52,7 @@ def published_entry(dataset_id: str) -> dict[str, Any]:
     """
     datasets: dict[str, dict[str, Any]] = _content()["datasets"]
     found = datasets.get(dataset_id)
-    if found is None or found["policy_sha256"] != _shipped_policy(dataset_id):
+    if found is None or not _by_shipped_expert(dataset_id, found):
         names = ", ".join(sorted(datasets)[:3])
         more = f" and {len(datasets) - 3} more" if len(datasets) > 3 else ""
         raise NotFoundError(f"this version lists no digest of {dataset_id}; listed: {names}{more}")
@@ -70,7 +71,7 @@ def listing(dataset_ids: Iterable[str]) -> str:
     made_with: dict[str, Any] = {}
     for dataset_id in dataset_ids:
         metadata = read_metadata(minari_root.dataset_folder(dataset_id) / "data")
-        if metadata.get("policy_sha256") != _shipped_policy(dataset_id):
+        if not _by_shipped_expert(dataset_id, metadata):
             raise DatasetError(f"{dataset_id} is not a dataset of the shipped expert")
         made_with = made_with or {key: metadata[key] for key in _MADE_WITH}
         if any(metadata[key] != made_with[key] for key in _MADE_WITH):
@@ -78,7 +79,7 @@ def listing(dataset_ids: Iterable[str]) -> str:
         datasets[dataset_id] = {key: metadata[key] for key in (*_RECIPE, "content_sha256")}
     before = _content()
     if before["made_with"] == made_with:
-        kept = {name: one for name, one in before["datasets"].items() if _is_current(name, one)}
+        kept = {name: one for name, one in before["datasets"].items() if _by_shipped_expert(name, one)}
         datasets = kept | datasets
     rows = ",\n".join(f"  {json.dumps(name)}: {json.dumps(datasets[name])}" for name in sorted(datasets))
     return f'{{\n "made_with": {json.dumps(made_with)},\n "datasets": {{\n{rows}\n }}\n}}\n'
@@ -90,14 +91,11 @@ def _content() -> dict[str, Any]:
     return content
 
 
-def _is_current(dataset_id: str, entry: Mapping[str, Any]) -> bool:
-    return bool(entry["policy_sha256"] == _shipped_policy(dataset_id))
-
-
-def _shipped_policy(dataset_id: str) -> str:
-    """Return the digest of the shipped expert whose dataset has this id; empty where there is none."""
+def _by_shipped_expert(dataset_id: str, stated: Mapping[str, Any]) -> bool:
+    """Return whether the dataset that states this policy is of the expert that is shipped for its id."""
     try:
         variant, tier = parse_dataset_id(dataset_id)
     except VariantError:
-        return ""
-    return str(expert_record(variant, shipped_folder()).get("weights_sha256", "")) if tier == EXPERT else ""
+        return False
+    shipped = expert_record(variant, shipped_folder()).get("weights_sha256", "") if tier == EXPERT else ""
+    return bool(stated.get("policy_sha256") == shipped)

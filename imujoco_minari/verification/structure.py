@@ -1,4 +1,4 @@
-"""Do an episode's arrays fit each other, its length, its flags and its statistics?"""
+"""Checks that an episode's arrays fit each other, and its length, flags and statistics."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ import pytest
 import imujoco_minari
 from imujoco_minari.envs import collection_spec, environment_spec, external_mjcf, mjcf, untrusted_mjcf
 from imujoco_minari.envs.differences import model_differences
-from imujoco_minari.envs.external_mjcf import canonical_foreign_mjcf
+from imujoco_minari.envs.external_mjcf import canonical_external_mjcf
 from imujoco_minari.envs.registration import current_spec, dataset_spec, is_entry_point, stored_models
 from imujoco_minari.envs.untrusted_mjcf import check_mjcf
 from imujoco_minari.errors import ModelError, RenderingError, VariantError
@@ -39,7 +39,7 @@ def base_xml(robot: str) -> str:
 
 
 def compiled(text: str, robot: str) -> mujoco.MjModel:
-    return mjcf.compile_mjcf(canonical_foreign_mjcf(text, robot, "test"))
+    return mjcf.compile_mjcf(canonical_external_mjcf(text, robot, "test"))
 
 
 def test_an_original_id_reads_back_and_names_its_datasets() -> None:
@@ -95,8 +95,8 @@ def test_walker2d_of_gym_has_one_slippery_foot() -> None:
 
 
 def test_the_canonical_text_is_a_fixed_point() -> None:
-    once = canonical_foreign_mjcf(base_xml("hopper"), "hopper", "test")
-    assert canonical_foreign_mjcf(once, "hopper", "test") == once
+    once = canonical_external_mjcf(base_xml("hopper"), "hopper", "test")
+    assert canonical_external_mjcf(once, "hopper", "test") == once
 
 
 def textures(count: int, width: int) -> str:
@@ -141,7 +141,7 @@ def test_a_model_that_is_unsafe_or_of_another_robot_is_refused(old: str, new: st
     text = base_xml("hopper")
     assert old in text
     with pytest.raises(ModelError, match=message):
-        canonical_foreign_mjcf(text.replace(old, new), "hopper", "test")
+        canonical_external_mjcf(text.replace(old, new), "hopper", "test")
 
 
 def test_a_stored_text_is_bounded_as_it_stands() -> None:
@@ -171,7 +171,7 @@ def test_a_text_is_compiled_apart_once(monkeypatch: pytest.MonkeyPatch) -> None:
     for _ in range(2):
         check_mjcf(text, "test")
     assert len(calls) == 1
-    canonical = canonical_foreign_mjcf(base_xml("walker2d"), "walker2d", "test")
+    canonical = canonical_external_mjcf(base_xml("walker2d"), "walker2d", "test")
     assert len(calls) == 2
     check_mjcf(canonical, "test")
     assert len(calls) == 2
@@ -180,7 +180,7 @@ def test_a_text_is_compiled_apart_once(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_child_that_is_killed_is_a_model_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(untrusted_mjcf, "_MEASURE", "limited_calls:crash")
     with pytest.raises(ModelError, match=r"test: compiling the model kills the process \(SIGSEGV\)"):
-        canonical_foreign_mjcf(base_xml("hopper"), "hopper", "test")
+        canonical_external_mjcf(base_xml("hopper"), "hopper", "test")
 
 
 @pytest.mark.parametrize("variant", [*bases(), *catalogue(category="length")], ids=str)
@@ -193,16 +193,16 @@ def test_our_own_models_are_far_within_the_bounds(variant: Variant) -> None:
 def test_entities_and_sizes_are_refused_before_parsing() -> None:
     bomb = '<!DOCTYPE m [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;">]><mujoco model="&b;"/>'
     with pytest.raises(ModelError, match="DOCTYPE"):
-        canonical_foreign_mjcf(bomb, "hopper", "test")
+        canonical_external_mjcf(bomb, "hopper", "test")
     with pytest.raises(ModelError, match="the limit is"):
-        canonical_foreign_mjcf("<mujoco>" + " " * 50_000 + "</mujoco>", "hopper", "test")
+        canonical_external_mjcf("<mujoco>" + " " * 50_000 + "</mujoco>", "hopper", "test")
     with pytest.raises(ModelError, match="nested deeper"):
-        canonical_foreign_mjcf("<mujoco>" + "<body>" * 60 + "</body>" * 60 + "</mujoco>", "hopper", "test")
+        canonical_external_mjcf("<mujoco>" + "<body>" * 60 + "</body>" * 60 + "</mujoco>", "hopper", "test")
 
 
 def test_the_environment_is_made_from_its_spec_alone_and_pickles() -> None:
     variant = OriginalVariant.parse("hopper-massdec_25_leggeom")
-    text = canonical_foreign_mjcf(original_archive.gym_xml(str(variant)), "hopper", "test")
+    text = canonical_external_mjcf(original_archive.gym_xml(str(variant)), "hopper", "test")
     spec = gym.envs.registration.EnvSpec.from_json(environment_spec(variant, text).to_json())
     env, ours = gym.make(spec), imujoco_minari.make("hopper-massdec_25_leggeom")
     again = pickle.loads(pickle.dumps(env.unwrapped))
@@ -226,7 +226,7 @@ def test_an_environment_never_loads_what_a_hostile_spec_names() -> None:
 def test_a_spec_of_several_originals_gives_its_models_back() -> None:
     variants = [OriginalVariant.parse(f"hopper-massdec_{percent}_leggeom") for percent in (25, 50)]
     models = {
-        str(v): canonical_foreign_mjcf(original_archive.gym_xml(str(v)), "hopper", "t") for v in variants
+        str(v): canonical_external_mjcf(original_archive.gym_xml(str(v)), "hopper", "t") for v in variants
     }
     spec = collection_spec("hopper-two", variants, models)
     assert spec.id == "imujoco-original/hopper-two-v0"
@@ -251,7 +251,7 @@ def earlier_spec(name: str, **kwargs: object) -> gym.envs.registration.EnvSpec:
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_an_earlier_spec_makes_the_same_environment_and_equals_todays(robot: str) -> None:
     name = f"{robot}-massinc_0_{'bfoot' if robot == 'halfcheetah' else 'leggeom'}"
-    text = canonical_foreign_mjcf(base_xml(robot), robot, "test")
+    text = canonical_external_mjcf(base_xml(robot), robot, "test")
     earlier = earlier_spec(specification(robot).title, variant=name, mjcf=text)
     today = environment_spec(name, text)
     assert current_spec(json.loads(earlier.to_json())) == json.loads(today.to_json()) | {"id": earlier.id}
@@ -265,7 +265,7 @@ def test_an_earlier_spec_makes_the_same_environment_and_equals_todays(robot: str
 
 
 def test_an_earlier_spec_of_a_collection_equals_todays() -> None:
-    text = canonical_foreign_mjcf(base_xml("hopper"), "hopper", "test")
+    text = canonical_external_mjcf(base_xml("hopper"), "hopper", "test")
     models = {f"hopper-massinc_{percent}_leggeom": text for percent in (0, 1)}
     earlier, today = earlier_spec("Collection", models=models), dataset_spec("any", list(models), models)
     assert current_spec(json.loads(earlier.to_json())) == json.loads(today.to_json())
@@ -298,7 +298,7 @@ def test_a_text_belongs_to_variants_of_the_archive_only() -> None:
 @pytest.mark.parametrize("name", ["hopper-massdec_25_leggeom", "walker2d-frictiondec_50_footleftgeom"])
 def test_an_original_is_drawn_by_its_own_model(name: str) -> None:
     variant = OriginalVariant.parse(name)
-    text = canonical_foreign_mjcf(original_archive.gym_xml(name), variant.robot, "test")
+    text = canonical_external_mjcf(original_archive.gym_xml(name), variant.robot, "test")
     scene, plain = scene_model(variant, text, width=320, height=240), mjcf.compile_mjcf(text)
     assert np.array_equal(scene.geom_size[1:], plain.geom_size[1:])
     assert scene.body("foot").mass[0] == plain.body("foot").mass[0]
@@ -312,7 +312,7 @@ def test_an_original_is_drawn_by_its_own_model(name: str) -> None:
 def test_a_departure_names_the_quantities() -> None:
     variant = OriginalVariant.parse("hopper-lengthinc_50_thighgeom")
     # This fixture lengthens the capsule alone, about its centre, and moves nothing that hangs on it.
-    text = canonical_foreign_mjcf(original_archive.gym_xml(str(variant)), "hopper", "test")
+    text = canonical_external_mjcf(original_archive.gym_xml(str(variant)), "hopper", "test")
     found = departure(variant, text)
     assert found.same_id
     quantities = {difference.quantity: difference for difference in found.differences}
@@ -323,7 +323,7 @@ def test_a_departure_names_the_quantities() -> None:
 
 def test_a_total_mass_that_is_set_moves_every_mass() -> None:
     variant = OriginalVariant.parse("halfcheetah-massinc_100_bthigh")
-    text = canonical_foreign_mjcf(original_archive.gym_xml(str(variant)), "halfcheetah", "test")
+    text = canonical_external_mjcf(original_archive.gym_xml(str(variant)), "halfcheetah", "test")
     found = departure(variant, text)
     masses = [difference for difference in found.differences if difference.quantity.startswith("mass of")]
     assert len(masses) == 7
@@ -338,7 +338,7 @@ def test_what_most_variants_share_is_said_once() -> None:
     departures = []
     for name in ids:
         variant = OriginalVariant.parse(name)
-        text = canonical_foreign_mjcf(original_archive.gym_xml(name), "walker2d", "test")
+        text = canonical_external_mjcf(original_archive.gym_xml(name), "walker2d", "test")
         departures.append(departure(variant, text))
     (shared,) = common_differences(departures)["walker2d"].items()
     assert shared[0].quantity == "friction of foot_geom on floor"

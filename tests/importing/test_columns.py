@@ -10,7 +10,7 @@ import original_archive
 import pytest
 
 from imujoco_minari.envs import environment_spec
-from imujoco_minari.envs.external_mjcf import canonical_foreign_mjcf
+from imujoco_minari.envs.external_mjcf import canonical_external_mjcf
 from imujoco_minari.errors import DatasetError
 from imujoco_minari.importing.columns import layout, read_table
 from imujoco_minari.importing.physics import Physics
@@ -28,7 +28,7 @@ def physics() -> Any:
 
     def make(name: str) -> Physics:
         variant = OriginalVariant.parse(name)
-        text = canonical_foreign_mjcf(original_archive.gym_xml(name), variant.robot, name)
+        text = canonical_external_mjcf(original_archive.gym_xml(name), variant.robot, name)
         made.append(Physics(environment_spec(variant, text)))
         return made[-1]
 

@@ -191,7 +191,7 @@ def test_a_small_disk(root: Path) -> None:
 KILLED_AT = {
     "rolling out": "imujoco_minari.publishing.new_dataset.complete_metadata",
     "before the rename": "imujoco_minari.storage.transactions.rename_new",
-    "after the rename": "imujoco_minari.publishing.publisher.read_outcome",
+    "after the rename": "imujoco_minari.publishing.new_dataset._read_outcome",
 }
 
 
