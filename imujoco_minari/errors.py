@@ -38,7 +38,7 @@ class VariantError(NotFoundError, ValueError):
 
 
 class CatalogueError(ImujocoError, ValueError):
-    """A catalogue file that does not say what a catalogue says."""
+    """A catalogue file that is malformed or wrong."""
 
 
 class ModelError(ImujocoError, ValueError):
@@ -54,11 +54,11 @@ class PolicyError(ImujocoError, ValueError):
 
 
 class PolicyNotFoundError(NotFoundError, FileNotFoundError):
-    """No policy is shipped, or lies at the given path, for what was asked."""
+    """No policy exists for the variant and the tier, or at the given path."""
 
 
 class DatasetError(ImujocoError, ValueError):
-    """A dataset whose content or identity is not what it must be."""
+    """A dataset with wrong content or a wrong identity."""
 
 
 class DatasetIdError(NotFoundError, DatasetError):

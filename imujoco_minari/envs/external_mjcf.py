@@ -45,7 +45,7 @@ def canonical_external_mjcf(text: str, robot: str, name: str) -> str:
     """
     root = check_text(text, name)
     _localise(root, name)
-    # Both are what every MuJoCo of today does anyway, and it warns of the words.
+    # Today's MuJoCo always does both, and warns of the words.
     for compiler in root.iter("compiler"):
         compiler.attrib.pop("coordinate", None)
     for size in root.iter("size"):

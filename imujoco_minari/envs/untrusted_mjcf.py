@@ -1,8 +1,8 @@
 """MJCF texts from outside: what they may contain, and how large a model they may make.
 
-A text may name no file, and no element that is not on a short list. What passes is compiled by a child
-process with limits on memory and time, which reports sizes and solver settings. Only if these lie within
-bounds does this process compile the text.
+A text may name no file, and no element that is not on a short list. A child process with limits on memory
+and time compiles a text that passes, and reports sizes and solver settings. This process compiles the text
+only if these are within bounds.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def check_mjcf(text: str, name: str) -> None:
 
 
 def measure_apart(path: str) -> bytes:
-    """Return the bounded fields of the model in a file, or why it does not compile: what a child runs."""
+    """Return the bounded fields of the model in a file, or why it does not compile. A child runs this."""
     text = Path(path).read_text("utf-8")
     try:
         return json.dumps(measure(mujoco.MjModel.from_xml_string(text))).encode()

@@ -1,7 +1,7 @@
 """Preference pairs: two segments of episodes of one variant, and which of them is preferred.
 
-The preferred segment is that of the better tier, where a ranking of tiers is given (an expert's segment over
-a random policy's), or the one with the larger return.
+The preferred segment is the one with the larger return or, if a ranking of tiers is given, the one of the
+better tier: an expert's segment over a random policy's.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ def load_dataset(dataset_id: str, *, jobs: int = 1, quiet: bool = False) -> Mina
     Args:
         dataset_id: the id.
         jobs: number of processes that publish.
-        quiet: do not say on standard error what is published.
+        quiet: print nothing on standard error about what is published.
 
     Raises:
         DatasetIdError: if the id is malformed.
@@ -106,7 +106,7 @@ def _first_of(failures: Sequence[str]) -> str:
 
 @contextmanager
 def _progress(dataset_id: str, unit: str, total: int, quiet: bool) -> Iterator[Callable[[], None]]:
-    """Say what is published, show a bar on a terminal, and yield the function that advances it by one."""
+    """Print what is published, show a bar on a terminal, and yield the function that advances it by one."""
     console = Console(stderr=True, highlight=False, soft_wrap=True)
     if not quiet:
         line = f"{dataset_id} is not in the Minari root: publishing {total} {unit}"

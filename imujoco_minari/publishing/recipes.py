@@ -13,7 +13,7 @@ from imujoco_minari.policies.tiers import MEDIUM_REPLAY, TierPart, parts
 from imujoco_minari.storage import file_format
 from imujoco_minari.variants import EXPERT, Ranges, Variant
 
-# What a dataset needs of a policy.
+# The attributes that a policy needs to make a dataset.
 _STATED = ("act", "algorithm", "sha256", "deterministic")
 # A thousand times more than any dataset of these robots that is known; a mistyped number is larger.
 MAX_EPISODES = 10**6
@@ -74,7 +74,7 @@ class Recipe:
 
     @property
     def attributes(self) -> dict[str, Any]:
-        """Attributes of the file; those of a variant are of each episode too."""
+        """Attributes of the file. If they name one variant, each episode has them too."""
         if isinstance(self.variant, Ranges):
             return file_format.ranges_attributes(self.variant, self.tier)
         return file_format.attributes(self.variant, self.tier)

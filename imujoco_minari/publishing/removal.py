@@ -36,9 +36,8 @@ class Deleted:
 def delete(dataset_ids: Sequence[str], *, force: bool = False) -> Iterator[Deleted]:
     """Delete datasets from the Minari root and yield each outcome when it is ready, failures included.
 
-    A dataset disappears in one step. A dataset whose episodes a linked collection refers to is not
-    deleted, unless the collection is deleted too. A folder that has other files too is
-    never deleted.
+    A dataset disappears in one step. It is not deleted if a linked collection refers to its episodes, unless
+    the collection is deleted too. A folder that has other files too is never deleted.
 
     Args:
         dataset_ids: the datasets.

@@ -7,6 +7,7 @@ package checks an episode here first.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from os import fsdecode
 from os.path import normpath
 from pathlib import Path
@@ -25,7 +26,7 @@ MAX_LINKS, _MAX_DEPTH = 4, 4
 def linked_file(data: Path, filename: str) -> Path | None:
     """Return the file that a link in a dataset leads to, or None if it is no dataset of the same root.
 
-    The links of a staged dataset are checked as they will lie: its staging folder stands for the root.
+    For a staged dataset, the staging folder stands for the root, so its links are checked as they will be.
 
     Args:
         data: the ``data`` folder of the dataset.
@@ -97,7 +98,7 @@ def check_link(group: h5g.GroupID, name: bytes, where: str) -> None:
     """Raise a DatasetError if an array or a group of an episode is a link to elsewhere.
 
     Raises:
-        KeyError: if there is none of the name.
+        KeyError: if the group has nothing with the name.
     """
     if _kind(group, name) != h5l.TYPE_HARD:
         raise DatasetError(f"{where} is a link to elsewhere, which an episode does not have")
@@ -115,18 +116,13 @@ def check_episode(file: h5py.File, number: int, data: Path) -> None:
         DatasetError: if it does not.
         KeyError: if there is no such episode.
     """
-    others: list[h5py.File] = []
+    with ExitStack() as stack:
 
-    def opened(path: Path) -> h5py.File:
-        others.append(h5py.File(path, "r"))
-        return others[-1]
+        def opened(path: Path) -> h5py.File:
+            return stack.enter_context(h5py.File(path, "r"))
 
-    try:
         holder, name = follow(file, file_format.episode_name(number).encode(), data, opened)
         _check_group(h5o.open(holder.id, name), f"{holder.filename}: {fsdecode(name)}", 0)
-    finally:
-        for other in others:
-            other.close()
 
 
 def _check_group(group: Any, where: str, depth: int) -> None:

@@ -49,7 +49,7 @@ def read_metadata(data: Path) -> dict[str, Any]:
 
 
 def _adopt_page(metadata: Mapping[str, Any]) -> None:
-    """Make the robot known whose page the environment's specification holds."""
+    """Make a user's robot known by the page in the environment's specification."""
     try:
         arguments = json.loads(metadata["env_spec"])["kwargs"]
         page = arguments["page"]

@@ -132,7 +132,7 @@ def _replayed(
 def _replayed_by_jobs(
     data: Path, metadata: Mapping[str, Any], jobs: int, backend: str | None, on_episode: _OnEpisode
 ) -> list[Finding]:
-    """Replay all episodes in shares, and return what differs in their order."""
+    """Replay all episodes in shares; return what differs, in the order of the episodes."""
     if jobs == 1 and backend is None:
         return _replayed(data, metadata, None, on_episode)
     with h5py.File(file_format.main_file(data), "r") as file:

@@ -71,7 +71,7 @@ class Episode:
 
     Attributes:
         name: of its group, ``episode_<number>``.
-        linked: whether it is in another file. It then has the number that it has there.
+        linked: whether it is in another file, and so has its number in that file.
         attributes: of its group.
         arrays: by name.
     """

@@ -63,7 +63,7 @@ class PartialCheck:
         """Return the part of :meth:`to_json`.
 
         Raises:
-            ValueError, TypeError, KeyError: when the text is not that of a part.
+            ValueError, TypeError, KeyError: when the text is not a part.
         """
         values = json.loads(text)
         return cls(**values | {"findings": [Finding(**finding) for finding in values["findings"]]})

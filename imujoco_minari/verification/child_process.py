@@ -35,7 +35,7 @@ _WALK = "imujoco_minari.verification.child_process:walk_apart"
 
 
 def survives(data: Path) -> Finding | None:
-    """Read a dataset in a child process; return what became of that, or None when it survived."""
+    """Read a dataset in a child process; return how the process failed, or None if it survived."""
     parts = _checked_parts(data, 1)
     return parts if isinstance(parts, Finding) else None
 
@@ -65,7 +65,7 @@ def check_apart(data: Path, metadata: Mapping[str, Any], jobs: int = 1) -> Findi
 
 
 def _checked_parts(data: Path, count: int) -> list[PartialCheck] | Finding:
-    """Check a dataset in ``count`` child processes; return their parts, or what became of one of them."""
+    """Check a dataset in ``count`` child processes; return their parts, or how one of them failed."""
     arguments = [json.dumps([str(data.absolute()), number, count]) for number in range(count)]
     parts = []
     for result in _apart(_CHECK, arguments, file_format.main_file(data)):
@@ -77,14 +77,14 @@ def _checked_parts(data: Path, count: int) -> list[PartialCheck] | Finding:
 
 
 def check_part_apart(argument: str) -> bytes:
-    """Check a part of a dataset: what a child process runs."""
+    """Check a part of a dataset. A child process runs this."""
     _without_prefixes()
     place, number, count = json.loads(argument)
     return check_part(Path(place), read_metadata(Path(place)), number, count).to_json().encode()
 
 
 def walk_apart(place: str) -> bytes:
-    """Read all of an HDF5 file but the numbers in its arrays: what a child process runs.
+    """Read all of an HDF5 file except the numbers in its arrays. A child process runs this.
 
     HDF5 copies the numbers without looking at them. The main process reports what raises an exception.
     """
@@ -116,7 +116,7 @@ def _part(result: bytes) -> PartialCheck | Finding:
 
 
 def _apart(function: str, arguments: list[str], file: Path) -> list[bytes | Finding]:
-    """Call a function in child processes; return each result, or what became of the process."""
+    """Call a function in child processes; return each result, or how the process failed."""
     seconds = _SECONDS + _size(file) // _BYTES_PER_SECOND
     results = run_all_limited(function, arguments, memory=MAX_MEMORY_BYTES, seconds=seconds)
     return [

@@ -31,7 +31,7 @@ def arrays(episode: Episode, read: Mapping[str, Any]) -> Iterator[Finding]:
 
     Args:
         episode: the episode.
-        read: the values of those of its arrays that have been read.
+        read: the values of the arrays that have been read before.
     """
     digests = {}
     for key, array in sorted(episode.arrays.items()):
@@ -49,7 +49,7 @@ def arrays(episode: Episode, read: Mapping[str, Any]) -> Iterator[Finding]:
 def whole(
     episodes: Sequence[str], root: Mapping[str, Any], metadata: Mapping[str, Any], linked: bool
 ) -> Iterator[Finding]:
-    """Report a dataset whose episodes are not its own.
+    """Report a dataset whose digest is not that of its episodes.
 
     Args:
         episodes: the digests of its episodes, in their order.

@@ -1,7 +1,7 @@
 """Checks that metadata, file attributes and episodes agree on what the dataset is, and that it is true.
 
-The environment that the metadata names must be one of ours: Minari imports and calls whatever they name
-at ``recover_environment()`` and, if a space is missing, at ``load_dataset()``.
+The environment that the metadata names must be one of ours: Minari imports and calls whatever is
+named, at ``recover_environment()`` and, if a space is missing, at ``load_dataset()``.
 """
 
 from __future__ import annotations

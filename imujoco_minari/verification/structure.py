@@ -66,7 +66,7 @@ def values(episode: Episode, number: int, read: Mapping[str, Any]) -> Iterator[F
     """Report flags, numbers and statistics that contradict each other.
 
     Args:
-        episode: one whose arrays fit.
+        episode: the episode. Its arrays must fit.
         number: its place in the dataset.
         read: the values of its arrays.
     """

@@ -12,11 +12,12 @@ import os
 import random
 import resource
 import signal
-import sys
 import tempfile
 import time
 from collections import Counter
 from pathlib import Path
+
+from ending import finish
 
 from imujoco_minari.publishing.combiner import combine_datasets
 from imujoco_minari.publishing.publisher import publish
@@ -141,12 +142,8 @@ def main() -> None:
             if end == "raised" or (end == "survived" and not found):
                 failures.append(f"{kind}: {found}")
             file_format.main_file(place).write_bytes(sound[place])
-    print(f"{trials} damaged files")
-    print("  ".join(f"{key} {value}" for key, value in sorted(ends.items())))
     print("found by the file's digest alone:", dict(quiet))
-    for failure in failures[:20]:
-        print("FAILED", failure)
-    sys.exit(bool(failures))
+    finish(f"{trials} damaged files", ends, failures)
 
 
 if __name__ == "__main__":

@@ -27,6 +27,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import torch
+from ending import finish
 
 from imujoco_minari.envs.mjcf import canonical_mjcf
 from imujoco_minari.envs.untrusted_mjcf import check_mjcf
@@ -207,11 +208,7 @@ def main() -> None:
             ends[f"{name}: {end.split(' ')[0]}"] += 1
             if end[0].isupper() or end == "?":
                 failures.append(f"{name}, input {sum(ends.values())}: {end}")
-    print(f"{sum(ends.values())} inputs, {len(failures)} failures")
-    print("  ".join(f"{key} {value}" for key, value in sorted(ends.items())))
-    for failure in failures[:20]:
-        print("FAILED", failure)
-    sys.exit(bool(failures))
+    finish(f"{sum(ends.values())} inputs, {len(failures)} failures", ends, failures)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,6 @@ import json
 import os
 import random
 import shutil
-import sys
 import tempfile
 import time
 import traceback
@@ -23,6 +22,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+from ending import finish
 
 from imujoco_minari.publishing.combiner import combine_datasets
 from imujoco_minari.publishing.publisher import publish
@@ -276,11 +276,7 @@ def main() -> None:
             ends[f"{change.__name__.removeprefix('change_')}: {end}"] += 1
             if not said and knowable(dataset_id, what):
                 failures.append(f"{dataset_id}: {what}: {dataset.metadata.get(what)!r}")
-    print(f"{sum(ends.values())} changed meanings, {len(failures)} not found")
-    print("  ".join(f"{key} {value}" for key, value in sorted(ends.items())))
-    for failure in failures[:20]:
-        print("FAILED", failure)
-    sys.exit(bool(failures))
+    finish(f"{sum(ends.values())} changed meanings, {len(failures)} not found", ends, failures)
 
 
 if __name__ == "__main__":
