@@ -144,7 +144,7 @@ def exit_code(missing: Sequence[bool]) -> int:
 
 
 class Outcome(Protocol):
-    """What became of one item of a batch."""
+    """The outcome of one item of a batch."""
 
     @property
     def error(self) -> str:

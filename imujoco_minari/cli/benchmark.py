@@ -1,16 +1,16 @@
-"""``imujoco benchmark``: results computed, tabulated and shown."""
+"""``imujoco benchmark``: compute results of methods, and show them as tables and a page."""
 
 from __future__ import annotations
 
+import math
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from imujoco_minari.cli.app import app
+from imujoco_minari.cli.app import advancing, app
 from imujoco_minari.cli.estimates import time_text
 from imujoco_minari.cli.options import AsJson, Jobs, Output
 from imujoco_minari.cli.printing import counted, out, print_json, print_table, progress, say
@@ -110,7 +110,7 @@ def few_shot(
     say(f"{counted(cells, 'cell')}: about {time_text(grid.seconds() / jobs)} with --jobs {jobs}")
     if not estimate:
         _publish(_recipes(grid.dataset_ids()), jobs, quiet=as_json)
-        with _cells("computing", cells, as_json) as on_cells:
+        with progress("computing", cells, quiet=as_json) as on_cells:
             lines = run_few_shot(grid, output or RESULTS, jobs=jobs, on_cells=on_cells)
         _show(few_shot_scores(lines), as_json)
 
@@ -155,7 +155,7 @@ def offline(
     say(f"{counted(cells, 'cell')}: about {time_text(grid.seconds() / jobs)} with --jobs {jobs}")
     if not estimate:
         _publish(grid.recipes(), jobs, quiet=as_json)
-        with _cells("training", cells, as_json) as on_cells:
+        with progress("training", cells, quiet=as_json) as on_cells:
             lines = run_offline(grid, output or RESULTS, jobs=jobs, on_cells=on_cells)
         _show(offline_scores(lines), as_json)
 
@@ -180,7 +180,7 @@ def reproduce(
     chosen = range(seeds or reproduction.SEEDS)
     train, test = reproduction.published_split()
     _publish(_recipes([*train, *test]), jobs, quiet=as_json)
-    with _cells("training", len(chosen) * len(reproduction.METHODS), as_json) as on_cells:
+    with progress("training", len(chosen) * len(reproduction.METHODS), quiet=as_json) as on_cells:
         lines = reproduction.run_reproduction(output or RESULTS, seeds=chosen, jobs=jobs, on_cells=on_cells)
     rows = reproduction.comparison(lines)
     if as_json:
@@ -283,23 +283,9 @@ def _publish(recipes: Sequence[Recipe], jobs: int, *, quiet: bool) -> None:
     if not missing:
         return
     say(f"{counted(len(missing), 'dataset')} to publish first")
-    with progress("publishing", len(missing), quiet=quiet) as advance:
-        for outcome in publish_all(missing, jobs=jobs):
-            if outcome.error:
-                raise BenchmarkError(outcome.error)
-            advance()
-
-
-@contextmanager
-def _cells(description: str, total: int, quiet: bool) -> Iterator[Callable[[int], None]]:
-    """Show a bar, and yield the function that advances it by some cells."""
-    with progress(description, total, quiet=quiet) as advance:
-
-        def on_cells(cells: int) -> None:
-            for _ in range(cells):
-                advance()
-
-        yield on_cells
+    for outcome in advancing(publish_all(missing, jobs=jobs), "publishing", len(missing), quiet=quiet):
+        if outcome.error:
+            raise BenchmarkError(outcome.error)
 
 
 def _show(scores: Sequence[MethodScore], as_json: bool) -> None:
@@ -314,6 +300,6 @@ def _show(scores: Sequence[MethodScore], as_json: bool) -> None:
 
 
 def _row(score: MethodScore) -> list[str]:
-    numbers: list[Any] = [score.iqm, score.low, score.high, score.error]
-    shown = ["-" if number != number else f"{number:.3f}" for number in numbers]
+    numbers = (score.iqm, score.low, score.high, score.error)
+    shown = ["-" if math.isnan(number) else f"{number:.3f}" for number in numbers]
     return [score.method, str(score.steps), score.budget, *shown, str(score.variants), str(score.runs)]

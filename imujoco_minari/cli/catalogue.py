@@ -1,4 +1,4 @@
-"""``imujoco list`` and ``imujoco show``: the variants, and what each changes in numbers."""
+"""``imujoco list`` and ``imujoco show``: the variants, and the numbers that each of them changes."""
 
 from __future__ import annotations
 

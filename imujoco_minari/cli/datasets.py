@@ -97,7 +97,7 @@ def publish_datasets(
 def _published(
     recipes: list[Recipe], jobs: int, backend: str | None, force: bool, *, quiet: bool
 ) -> Iterator[Published]:
-    """Publish each recipe and yield what became of it, behind a bar of datasets, or of one's episodes."""
+    """Publish each recipe and yield its outcome, behind a bar of datasets; for one dataset, of episodes."""
     from imujoco_minari.publishing.new_dataset import Published
     from imujoco_minari.publishing.publisher import publish_all, publish_recipe
 
@@ -110,13 +110,12 @@ def _published(
         try:
             outcome = publish_recipe(recipes[0], jobs=jobs, force=force, on_episode=advance)
         except ImujocoError as error:
-            missing = error.missing
-            outcome = Published(recipes[0].dataset_id, error=str(error), missing=missing)
+            outcome = Published(recipes[0].dataset_id, error=str(error), missing=error.missing)
     yield outcome
 
 
 def describe_published(outcome: Published) -> tuple[str, ...]:
-    """Return what to print of a dataset that was published, or exists already."""
+    """Return what to print of a dataset that was published or existed already."""
     if not outcome.created:
         return (
             "left alone",
@@ -269,11 +268,12 @@ def _print_findings(dataset_id: str, findings: Findings, sound: str) -> None:
         out.print(f"{dataset_id}: {counted(len(findings), 'finding')}")
         print_table(("where", "what"), [[finding.where, finding.what] for finding in findings])
         return
-    out.print(", but ".join([f"{dataset_id}: {sound}", *filter(None, ["; ".join(findings.exceptions)])]))
+    exceptions = f", but {'; '.join(findings.exceptions)}" if findings.exceptions else ""
+    out.print(f"{dataset_id}: {sound}{exceptions}")
 
 
 def _episodes(dataset_id: str) -> int:
-    """Return how many episodes a dataset states that it has; used for the progress bar only."""
+    """Return the number of episodes that a dataset states, for the progress bar."""
     from imujoco_minari.storage.metadata import read_metadata
 
     episodes = read_metadata(minari_root.dataset_folder(dataset_id) / "data").get("total_episodes")

@@ -83,14 +83,14 @@ def _bytes_per_step(variant: Variant) -> int:
 
 
 def _steps_per_episode(recipe: Recipe) -> float:
-    """Return how long an episode is by the record of the expert, or else the time limit."""
+    """Return the mean length of an episode by the record of the expert, or else the time limit."""
     key = {EXPERT: "evaluation", "random": "random"}.get(recipe.tier) if recipe.policy is None else None
     evaluation = expert_record(recipe.nominal).get(key or "", {})
     return float(evaluation.get("length_mean", STEPS_PER_EPISODE))
 
 
 def publishing_line(planned: Sequence[Planned], jobs: int) -> str:
-    """Return what publishing the plan takes, in a line."""
+    """Return one line with the disk and the time that publishing the plan takes."""
     wanted = [each for each in planned if each.action != "leave alone" and not each.error]
     line = counted(len(planned), "dataset")
     if len(wanted) < len(planned):
@@ -139,7 +139,7 @@ def plan_export(dataset_ids: Sequence[str], *, archive: bool) -> PlannedExport:
 
 
 def training_line(variants: Iterable[Variant], policies: Path | None, jobs: int, *, improve: bool) -> str:
-    """Return what training the experts that variants lack takes, in a line; all of them with ``improve``."""
+    """Return one line with the disk and the time that training takes: the missing experts, or all of them."""
     chosen = list(variants)
     wanted = [variant for variant in chosen if improve or not expert_record(variant, policies)]
     base = sum(variant.category == BASE for variant in wanted)
@@ -152,7 +152,7 @@ def training_line(variants: Iterable[Variant], policies: Path | None, jobs: int,
 
 
 def gallery_line(count: int) -> str:
-    """Return what drawing a gallery of ``count`` variants and bases takes, in a line."""
+    """Return one line with the disk and the time that a gallery of ``count`` variants and bases takes."""
     return (
         f"{count} variants and bases: {cost(count * BYTES_PER_CLIP, count * SECONDS_PER_CLIP)}, "
         "less for those that are drawn already"

@@ -58,7 +58,7 @@ err = Printer(stderr=True)
 
 
 def with_name(name: object, message: str) -> str:
-    """Return a message that begins with the name of what it is about, unless it states the name itself."""
+    """Return a message that begins with ``name``, unless the message contains the name already."""
     return message if str(name) in message else f"{name}: {message}"
 
 
@@ -119,10 +119,11 @@ def counted(count: int, noun: str) -> str:
 
 
 @contextmanager
-def progress(description: str, total: int | None, *, quiet: bool = False) -> Iterator[Callable[[], None]]:
-    """Show a bar with an estimate on the error stream, and yield the function that advances it by one.
+def progress(description: str, total: int | None, *, quiet: bool = False) -> Iterator[Callable[..., None]]:
+    """Show a bar with an estimate on the error stream, and yield the function that advances it.
 
-    A total of None is unknown: the bar counts, without an estimate.
+    The function advances the bar by one, or by the number that it is given. A total of None is unknown: the
+    bar counts, without an estimate.
     """
     columns = (
         TextColumn("{task.description}", markup=False),
@@ -135,4 +136,4 @@ def progress(description: str, total: int | None, *, quiet: bool = False) -> Ite
     console = err.console
     with Progress(*columns, console=console, disable=quiet or not console.is_terminal) as bar:
         task = bar.add_task(printable(description), total=total)
-        yield lambda: bar.advance(task)
+        yield lambda count=1: bar.advance(task, count)

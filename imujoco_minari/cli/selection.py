@@ -42,10 +42,10 @@ class Filters:
         return bool(self) or self.with_base
 
     def check_no_names(self, names: Sequence[str] | None) -> None:
-        """Check that a command does not name what its filters choose.
+        """Check that a command does not have both names and filters.
 
         Raises:
-            VariantError: when there are names and filters.
+            VariantError: if there are names and filters.
         """
         if names and self.given:
             raise VariantError(f"give ids or {self}, not both")
@@ -57,7 +57,7 @@ class Filters:
         return " ".join(words + ["--with-base"] * self.with_base)
 
     def variants(self) -> list[Variant]:
-        """Return the variants that the filters leave, each robot's base first if it is wanted.
+        """Return the variants that the filters choose. With ``with_base``, each robot's base comes first.
 
         Raises:
             VariantError: if there is no such robot or category.

@@ -1,4 +1,4 @@
-"""``imujoco train`` and ``imujoco policies``: experts made, and listed."""
+"""``imujoco train``, ``imujoco policies`` and ``imujoco policy``: train, list and export experts."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ def _recorded(chosen: list[Variant], plan: Plan, quiet: bool) -> Iterator[Publis
 def _trained(
     chosen: list[Variant], plan: Plan, jobs: int, backend: str | None, quiet: bool
 ) -> Iterator[Trained]:
-    """Train each variant and yield what became of it."""
+    """Train each variant and yield the outcome."""
     from imujoco_minari.training.sweep import train, train_all
 
     if len(chosen) == 1 and backend is None:
@@ -169,7 +169,7 @@ def _trained(
 
 
 def _teller(quiet: bool) -> OnInterval:
-    """Return what prints a line after each evaluation, with the time that is left at most."""
+    """Return a function that prints a line after each evaluation, with the longest time that is left."""
 
     def tell(state: Progress, hyperparameters: Hyperparameters) -> None:
         last = state.evaluations[-1] if state.evaluations else None
@@ -191,7 +191,7 @@ _WEAK = 0.5
 
 
 def describe_trained(outcome: Trained, plan: Plan) -> tuple[str, ...]:
-    """Return what to print of a variant or generalist that was trained, or has an expert already."""
+    """Return what to print of a variant or generalist that was trained or left alone."""
     variant = outcome.variant
     if outcome.measured:
         return "measured", f"{variant}: {_ladder(outcome.record)}"
@@ -211,7 +211,7 @@ def describe_trained(outcome: Trained, plan: Plan) -> tuple[str, ...]:
 
 
 def _ladder(record: dict[str, Any]) -> str:
-    """Return how many rungs a record's ladder has, and which share of the expert's return medium has."""
+    """Return the number of rungs of a record, and the return of medium as a share of the expert's."""
     rungs, expert_return = record["ladder"], mean_return(record)
     if not rungs:
         return "no rungs"
@@ -220,7 +220,7 @@ def _ladder(record: dict[str, Any]) -> str:
 
 
 def _made(record: dict[str, Any]) -> str:
-    """Return what a record's policy scores, and what made it."""
+    """Return the return of a record's policy, and the training that made it."""
     evaluation = record["evaluation"]
     return (
         f"return {evaluation['return_mean']:.1f} ± {evaluation['return_std']:.1f} "

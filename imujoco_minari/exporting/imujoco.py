@@ -1,7 +1,8 @@
 """The layout of the original's archive: datasets, policies and models of many variants in one folder.
 
-``dataset/sac-<variant>.npz`` has the columns of the format ``npz`` and, before the last one, terminated. With
-it, an import gives the same datasets again. Programs for the original read the first columns and the last.
+``dataset/sac-<variant>.npz`` has the columns of the format ``npz``, and terminated before the last one. An
+import uses this column to make the same datasets again. Programs for the original read the first columns and
+the last one.
 """
 
 from __future__ import annotations
@@ -70,14 +71,14 @@ def write(dataset_ids: Sequence[str], target: Path, on_dataset: Callable[[], Non
 
 def write_model(variant: Variant, path: Path) -> None:
     """Write the model of a variant as an MJCF file, with a comment that it is not the original's."""
-    # The one word that MuJoCo 2, which the original's programs use, does not know; the meaning is the same.
+    # The original's programs use MuJoCo 2, which knows this attribute only under its old name.
     text = canonical_mjcf(variant).replace('type="directional"', 'directional="true"')
     comment = f"<!-- {REBUILT}: {variant} of imujoco-minari {version('imujoco-minari')} -->\n"
     path.write_text(text + comment, "utf-8")
 
 
 def _maker(dataset_id: str, variant: Variant, tier: str) -> Actor:
-    """Return the installed policy that made a dataset; check that it and this version's model did."""
+    """Return the installed policy of a dataset; check that it and the present model made the dataset."""
     if not minari_root.exists(dataset_id):
         raise not_in_root(dataset_id)
     actor = load_policy(variant, tier=tier)

@@ -1,8 +1,8 @@
 """The original benchmark's layout: a ``.npz`` with one float64 array ``data``, one row for each step.
 
 Columns: observation, action, reward, next observation, done (terminated or truncated). The original's reader
-takes observation and action from the first columns and done from the last; the original does not document the
-columns between. The export loses whether an episode was terminated or truncated.
+takes observation and action from the first columns and done from the last. The original does not document the
+columns between them. The export loses whether an episode was terminated or truncated.
 """
 
 from __future__ import annotations

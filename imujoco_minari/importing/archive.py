@@ -61,7 +61,7 @@ class Archive:
     Attributes:
         place: the folder of the archive.
         files: variant -> part (``xml``, ``policies``, ``dataset``) -> file.
-        ignored: the files of its parts whose names are not those of a variant.
+        ignored: the files that are not named after a variant.
     """
 
     place: Path
@@ -74,7 +74,7 @@ class Archive:
         return tuple(sorted(self.files))
 
     def select(self, names: Sequence[str], robot: str | None, category: str | None) -> list[OriginalVariant]:
-        """Return the variants that are named, all when none is, of one robot and category or of any.
+        """Return the named variants, or all if none is named, of one robot and category or of any.
 
         Raises:
             VariantError: when the archive has no such variant, or none is left.

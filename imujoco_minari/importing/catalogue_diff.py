@@ -1,4 +1,4 @@
-"""Where the original's models depart from ours of the same id, in physical quantities."""
+"""The physical quantities in which the original's models differ from our models of the same id."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def coverage(variants: Iterable[OriginalVariant], robot: str | None, category: s
 
 
 def common_differences(departures: Iterable[Departure]) -> dict[str, dict[Difference, int]]:
-    """Return, robot by robot, the differences that most of its variants share and how many do.
+    """Return the differences that most variants of a robot share, with the number of these variants.
 
     Where gym's model of the robot differs from ours, every variant of the robot differs too.
     """
@@ -101,13 +101,13 @@ def common_differences(departures: Iterable[Departure]) -> dict[str, dict[Differ
 
 
 def published_models() -> dict[OriginalVariant, str]:
-    """Return the models of the original's datasets that are in the Minari root: a catalogue of its own."""
+    """Return the models of the original's datasets that are in the Minari root, by their variants."""
     models: dict[OriginalVariant, str] = {}
     for folder in sorted((minari_root.datasets_root() / ORIGINAL).glob("*-v0")):
         try:
             with h5py.File(file_format.main_file(folder / "data"), "r") as file:
                 variant = OriginalVariant.parse(str(file.attrs["variant"]))
-                # What lies in the root may come from anywhere, as a dataset that was pulled does.
+                # A dataset in the root may come from anywhere, for example by `imujoco pull`.
                 text = canonical_external_mjcf(str(file.attrs["mjcf"]), variant.robot, folder.name)
         except (OSError, KeyError, ImujocoError):
             continue
@@ -120,7 +120,7 @@ def _against(variant: OriginalVariant) -> str:
 
 
 def _more_quantities(ours: mujoco.MjModel, theirs: mujoco.MjModel) -> Iterator[tuple[str, float, float, str]]:
-    """Yield what no category of ours changes, and so nothing that ``show`` lists."""
+    """Yield the quantities that no category of ours changes, so ``show`` does not list them."""
     anchors = _anchors(ours), _anchors(theirs)
     # The original's model has been checked to have our joints and actuators, in our order.
     for i in range(ours.njnt):

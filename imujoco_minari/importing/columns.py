@@ -1,8 +1,8 @@
-"""Which column of a table is what: guessed, and the guess checked against the robot's rules.
+"""The meaning of each column of a table: possible layouts are tried, and checked against the robot's rules.
 
-The original documents only that a row begins with observation and action, and its reader takes the last
-column for the done flag. The columns between them are found by trial: a reward must follow the robot's
-reward formula, and a next observation must be the next row's observation.
+The original documents only that a row begins with observation and action. Its reader takes the last column
+as the done flag. Checks find the columns between them: a reward must follow the robot's reward formula, and a
+next observation must be the next row's observation.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _FIELDS = {
 }
 _COLUMNS = (*_FIELDS, "skip")
 _EXAMPLE = "observation,action,reward,done"
-# What may stand between the action and done; the last is what this package exports.
+# The columns that may stand between action and done. This package exports the last of these.
 _BETWEEN = (
     (),
     ("reward",),
@@ -74,7 +74,7 @@ class Layout:
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that must hold if a layout is right: what, whether it does, and what was seen."""
+    """A condition that a right layout meets, whether it is met, and the values that were found."""
 
     what: str
     passed: bool
@@ -117,9 +117,9 @@ def read_table(
 
     Args:
         table: rows of numbers.
-        robot: whose observations and actions they hold.
-        name: what to call the table in messages.
-        columns: the layout where the user states it; None to detect it.
+        robot: the robot that the observations and actions belong to.
+        name: the name of the table in messages.
+        columns: the layout, if the user states it; None to detect it.
 
     Raises:
         DatasetError: when no layout, or more than one, fits; or the stated one does not fit the table.
@@ -135,7 +135,7 @@ def read_table(
                 f"{name}: has {table.shape[1]} columns, but {columns} makes {found.width} for {robot}"
             )
         checks = _checks(table, found, robot)
-        # The user's statement is believed, unless the column of flags holds other numbers.
+        # The layout that the user states is used, unless the done column holds other numbers than 0 and 1.
         if not checks[0].passed:
             raise DatasetError(f"{name}: {checks[0]}")
     return found.transitions(table).checked(robot, name), found, checks
@@ -197,7 +197,7 @@ def _check_next(rows: Transitions, next_observations: Array) -> Check:
 
 
 def _check_reward(rows: Transitions, rewards: Array, robot: str, formula: Reward) -> Check:
-    """Compare with the formula; the velocity over a step lies near the mean of those at its ends."""
+    """Compare with the formula. The velocity over a step is near the mean of those before and after it."""
     what = "the reward follows the robot's formula"
     inner = np.flatnonzero(_inner(rows))
     if not len(inner):
@@ -228,9 +228,9 @@ def _check_terminated(done: Array, terminated: Array) -> Check:
 
 
 def _inner(rows: Transitions) -> Array:
-    """Return which rows, but for the last, are followed by the next of the same episode."""
+    """Return which rows have their successor in the next row. The last row of the table is not included."""
     inner = ~rows.ends[:-1].astype(bool)
-    # Some files mark falls only, and begin a new episode every 1000 rows.
+    # Some files mark only falls, and begin a new episode after 1000 rows.
     inner[MAX_EPISODE_STEPS - 1 :: MAX_EPISODE_STEPS] = False
     return inner
 

@@ -1,4 +1,4 @@
-"""Data of the three robots from elsewhere, as a tier of a variant: Minari, D4RL's HDF5, ``.npz``.
+"""Import of data from Minari, D4RL's HDF5 files and ``.npz`` files as a tier of a variant.
 
 Only plain arrays are read. Nothing is unpickled or executed, no environment of the data is made, and links
 to other files are not followed.
@@ -255,7 +255,7 @@ def _is_stored(array: h5py.Dataset) -> bool:
     """Return whether the file stores all values of an array; HDF5 reads the others as fill values."""
     if array.chunks is None:
         return bool(array.id.get_storage_size() >= array.nbytes)
-    # The chunks may be compressed, so their size tells nothing.
+    # The chunks may be compressed, so their size does not show it.
     chunks = math.prod(
         math.ceil(length / step) for length, step in zip(array.shape, array.chunks, strict=True)
     )

@@ -1,4 +1,4 @@
-"""The original's data as Minari datasets: its episodes as they are, or its policies rolled out anew."""
+"""The original's data as Minari datasets: its own episodes, or new episodes by its policies."""
 
 from __future__ import annotations
 
@@ -89,21 +89,17 @@ def import_variant(archive: Archive, variant: OriginalVariant, how: Import) -> P
     spec, rebuilt = environment_spec(variant, mjcf), REBUILT in source
     with Physics(spec) as physics:
         found = cut(transitions, physics)
-        size = f"{len(found.bounds)} episodes, {len(transitions)} steps"
-        if rebuilt:
-            made, model = f"iMuJoCo data of {variant}, rebuilt, from {REBUILT_SOURCE}: {size}", "archived"
-        else:
-            made, model = f"The original iMuJoCo data of {variant}, from {SOURCE}: {size}", "original"
-            made += ", made by its authors with gym's v3 environments and mujoco-py"
+        made, model = _origin("data", variant, rebuilt)
+        by = "" if rebuilt else ", made by its authors with gym's v3 environments and mujoco-py"
         description = (
-            f"{made}. Read as the columns {layout}. No seeds are known, so the episodes cannot be replayed. "
+            f"{made}: {len(found.bounds)} episodes, {len(transitions)} steps{by}. "
+            f"Read as the columns {layout}. No seeds are known, so the episodes cannot be replayed. "
             f"The environment is the {model} model under Gymnasium's v5 rules and today's MuJoCo."
         )
         metadata = {
-            **_metadata(variant, spec, "unknown" if rebuilt else "SAC", rebuilt),
+            **_metadata(variant, spec, "unknown" if rebuilt else "SAC", source),
             "description": " ".join((description, *found.notes)),
             **_reference_maximum(found),
-            "mjcf_source": source,
             "source": f"dataset/{member.name}",
             "source_sha256": digest,
             "source_columns": str(layout),
@@ -127,23 +123,15 @@ def recollect(archive: Archive, variant: OriginalVariant, how: Import) -> Publis
     with member.on_disk() as path:
         policy, digest = read_actor(path).for_robot(variant.robot), file_format.file_sha256(path)
     spec, rebuilt = environment_spec(variant, mjcf), REBUILT in source
-    if rebuilt:
-        made, model, older = (
-            f"The iMuJoCo policy of {variant}, rebuilt, from {REBUILT_SOURCE}",
-            "archived",
-            "",
-        )
-    else:
-        made, model = f"The original iMuJoCo policy of {variant}, from {SOURCE}", "original"
-        older = " The original's own episodes were made with gym's v3 environments."
+    made, model = _origin("policy", variant, rebuilt)
+    older = "" if rebuilt else " The original's own episodes were made with gym's v3 environments."
     description = (
         f"{made}, rolled out deterministically for {how.episodes} episodes in the {model} model under "
         f"Gymnasium's v5 rules and MuJoCo {version('mujoco')}.{older}"
     )
     metadata = {
-        **_metadata(variant, spec, policy.algorithm, rebuilt),
+        **_metadata(variant, spec, policy.algorithm, source),
         "description": description,
-        "mjcf_source": source,
         "source": f"policies/{member.name}",
         "source_sha256": digest,
         "policy_sha256": policy.sha256,
@@ -178,15 +166,23 @@ def _rollouts(spec: EnvSpec, policy: Policy, how: Import) -> Iterator[EpisodeBuf
             yield last.episode
 
 
-def _metadata(variant: OriginalVariant, spec: EnvSpec, algorithm: str, rebuilt: bool) -> dict[str, Any]:
-    """Return the metadata that imported and recollected datasets share, but for their descriptions."""
+def _origin(what: str, variant: OriginalVariant, rebuilt: bool) -> tuple[str, str]:
+    """Return words for where the data or the policy of a variant come from, and for the archive's model."""
+    if rebuilt:
+        return f"The iMuJoCo {what} of {variant}, rebuilt, from {REBUILT_SOURCE}", "archived"
+    return f"The original iMuJoCo {what} of {variant}, from {SOURCE}", "original"
+
+
+def _metadata(variant: OriginalVariant, spec: EnvSpec, algorithm: str, source: str) -> dict[str, Any]:
+    """Return the metadata that imported and recollected datasets share, except for their descriptions."""
     with closing(gym.make(spec)) as env:
         random = evaluate(env, random_policy(variant.robot), episodes=REFERENCE_EPISODES)
-    by = {} if rebuilt else {"author": sorted(AUTHORS), "code_permalink": CODE}
+    by = {} if REBUILT in source else {"author": sorted(AUTHORS), "code_permalink": CODE}
     return {
         **provenance(algorithm=algorithm, description=""),
         **by,
         "license": "Apache-2.0",
+        "mjcf_source": source,
         "ref_min_score": random.return_mean,
         "num_episodes_average_score": random.episodes,
         "ref_min_evaluation": random.asdict(),

@@ -1,7 +1,7 @@
 """One step of a robot from any of its observations, by today's simulator.
 
-An observation of these robots begins with their whole state but for the horizontal position, which nothing
-depends on, so a recorded step can be simulated again on its own.
+An observation of these robots begins with their state, without the horizontal position. Nothing depends on
+that position, so a recorded step can be simulated again on its own.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Physics:
         spec: the variant's environment.
 
     Attributes:
-        positions: how many numbers of an observation are positions; velocities follow them.
+        positions: the number of positions in an observation. The velocities follow them.
         can_terminate: whether the robot can fall.
     """
 
@@ -40,7 +40,7 @@ class Physics:
         self._state = self.positions + self._raw.model.nv
         self.can_terminate = hasattr(self._raw, "is_healthy")
         noise = self._raw._reset_noise_scale
-        # HalfCheetah's initial velocities are normal with that deviation, the others' are uniform.
+        # HalfCheetah's initial velocities are normal with this deviation; those of the others are uniform.
         spread = 1.01 if self.can_terminate else 6.0
         self._reset_bounds = np.concatenate(
             [np.full(self.positions, 1.01 * noise), np.full(self._raw.model.nv, spread * noise)]

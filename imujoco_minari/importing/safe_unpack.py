@@ -1,8 +1,8 @@
 """Zips and ``.npz`` files from outside, read within bounds.
 
-A zip states the size of each entry, and ``zipfile`` never returns more. So all sizes are checked before
-anything is unpacked. The header of an array is checked before memory is allocated for the array. The name
-of an entry never decides where a file is written: the caller names the target.
+A zip states the size of each entry, and ``zipfile`` never returns more. All sizes are checked before anything
+is unpacked. The header of an array is checked before memory is allocated for the array. The name of an entry
+never decides where a file is written: the caller names the target.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _BROKEN = (
 
 
 class Allowance:
-    """How many numbers may still be read of one input, all its arrays together."""
+    """The number of values that may still be read from one input, over all its arrays."""
 
     def __init__(self) -> None:
         self._left = MAX_NUMBERS
@@ -58,7 +58,7 @@ class Allowance:
         """Take ``count`` numbers for the array ``name``.
 
         Raises:
-            DatasetError: when so many are not left.
+            DatasetError: when fewer are left.
         """
         if not 0 <= count <= self._left:
             raise DatasetError(

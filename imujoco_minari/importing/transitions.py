@@ -1,7 +1,7 @@
-"""Rows of steps from a file, cut into episodes and completed to what a Minari episode holds.
+"""Rows of steps from a file, cut into episodes that have everything that Minari stores.
 
-Files differ: some mark every end, some only falls, some record neither what follows an episode's last step
-nor the rewards. What a file lacks is simulated, and a note says so; what it has is kept as it is.
+Files differ. Some mark every end, some only falls, and some have no rewards or no final observations. Values
+that a file lacks are simulated, and a note states this. Values that it has are kept as they are.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ class Transitions:
         observations: ``(n, observation size)``, float64.
         actions: ``(n, action size)``, float32.
         ends: ``(n,)``, whether the source marks the step as its episode's last.
-        terminated: ``(n,)``, whether the source says that the step ended in a terminal state; None where
-            it does not tell terminations from time limits.
-        truncated: ``(n,)``, whether the source says that the step was the last by a time limit, or None.
+        terminated: ``(n,)``, whether the source marks the step as a termination; None if it does not
+            separate terminations from time limits.
+        truncated: ``(n,)``, whether the source marks the step as the last by a time limit, or None.
         rewards: ``(n,)``, float64, or None.
-        next_observations: like ``observations``, what followed each step, or None.
+        next_observations: like ``observations``, the observation after each step, or None.
     """
 
     observations: Array
@@ -57,10 +57,10 @@ class Transitions:
 
         Args:
             robot: the robot that they must be of.
-            name: what to call them in messages.
+            name: the name of the source in messages.
 
         Raises:
-            DatasetError: when they are none, not the robot's in shape, not finite, or no actions of it.
+            DatasetError: when there are no steps, or a shape, a value or an action does not fit the robot.
         """
         (observation, action), rows = specification(robot).sizes, len(self)
         if not rows:
@@ -91,7 +91,7 @@ class Transitions:
 
 @dataclass(frozen=True)
 class Fidelity:
-    """How far recorded steps are from the same steps simulated today.
+    """The differences between recorded steps and the same steps simulated today.
 
     Each step has a largest deviation of a position (m, rad) and of a velocity (m/s, rad/s), and a deviation
     of the reward. The fields are the medians and maxima over ``rows`` steps, or None without such values.
@@ -172,23 +172,23 @@ class Cut:
         return Fidelity(len(rows), *(float(f(column)) for column in columns for f in (np.median, np.max)))
 
     def _terminated(self, start: int, stop: int, final: Array) -> bool:
-        """Return whether an episode ended in a fall: as the source says, else by the robot's rules."""
+        """Return whether an episode ended in a fall, by the source's flags or else by the robot's rules."""
         if self.transitions.terminated is not None:
             return bool(self.transitions.terminated[stop - 1])
         if not self.transitions.ends[stop - 1] or not self.physics.can_terminate:
             return False
-        # A mark before the time limit can only be a fall; at the limit it says nothing.
+        # A mark before the time limit must be a fall. A mark at the limit may be either.
         return stop - start < MAX_EPISODE_STEPS or not self.physics.is_healthy(final)
 
     def _truncated(self, start: int, stop: int) -> bool:
-        """Return whether an episode reached its time limit: as the source says, else by its length."""
+        """Return whether an episode reached its time limit, by the source's flags or else by its length."""
         if self.transitions.truncated is not None:
             return bool(self.transitions.truncated[stop - 1])
         return stop - start == MAX_EPISODE_STEPS
 
 
 def cut(transitions: Transitions, physics: Physics) -> Cut:
-    """Find the episodes: at marked ends, at resets that no mark announces, and at the time limit."""
+    """Cut transitions into episodes: at marked ends, at resets without a mark, and at the time limit."""
     unmarked = _unmarked_resets(transitions, physics)
     ends = transitions.ends.copy()
     ends[unmarked] = ends[-1] = True
@@ -217,7 +217,7 @@ def cut(transitions: Transitions, physics: Physics) -> Cut:
 
 
 def _shows_resets(transitions: Transitions, bounds: list[tuple[int, int]]) -> bool:
-    """Return whether what follows an episode's last step is the reset of the next, as some loops record."""
+    """Return whether most last steps are followed by the next reset's observation, as some loops record."""
     lasts = np.array([stop - 1 for _, stop in bounds[:-1]], dtype=int)
     if transitions.next_observations is None or not len(lasts):
         return False
@@ -228,7 +228,7 @@ def _shows_resets(transitions: Transitions, bounds: list[tuple[int, int]]) -> bo
 
 
 def _unmarked_resets(transitions: Transitions, physics: Physics) -> Array:
-    """Return the rows after which the robot is suddenly elsewhere, though no end is marked."""
+    """Return the rows that have no mark, but after which the robot is suddenly in another state."""
     observations = transitions.observations
     inner = ~transitions.ends[:-1]
     if transitions.next_observations is not None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
+from hopper_page import hopper_page
 
 import imujoco_minari
 from imujoco_minari.errors import CatalogueError
@@ -16,16 +17,9 @@ from imujoco_minari.variants import CATEGORIES, ROBOTS, known_robots, parse_spec
 
 PACKAGE = Path(imujoco_minari.__file__).parent
 
-GOOD = """
-environment = "Hopper-v5"
-model = "hopper.xml"
-observation_size = 11
-observed_positions = 5
-action_size = 3
-steps_per_second = 125
-root_joints = ["rootx", "rootz", "rooty"]
-feet = ["foot_geom"]
-healthy_z_range = [0.7, inf]
+GOOD = hopper_page(
+    "hopper.xml",
+    """\
 [reward]
 control_cost = 1e-3
 healthy = 1
@@ -33,7 +27,9 @@ healthy = 1
 leg_joint = -34
 [training.warm]
 max_steps = 7
-""" + "".join(f'[{category}]\npercents = [-50]\nbodies = ["foot_geom"]\n' for category in CATEGORIES[:4])
+"""
+    + "".join(f'[{category}]\npercents = [-50]\nbodies = ["foot_geom"]\n' for category in CATEGORIES[:4]),
+)
 
 
 def test_a_specification_reads_back_what_it_says() -> None:

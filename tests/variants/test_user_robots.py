@@ -12,6 +12,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
+from hopper_page import hopper_page
 
 import imujoco_minari
 from imujoco_minari.errors import CatalogueError, ImujocoError, VariantError
@@ -20,16 +21,9 @@ from imujoco_minari.variants import Variant, adopt_page, carried_page, catalogue
 from imujoco_minari.variants import robots as module
 from imujoco_minari.verification import verify
 
-PAGE = """
-environment = "Hopper-v5"
-model = "strong.xml"
-observation_size = 11
-observed_positions = 5
-action_size = 3
-steps_per_second = 125
-root_joints = ["rootx", "rootz", "rooty"]
-feet = ["foot_geom"]
-healthy_z_range = [0.7, inf]
+PAGE = hopper_page(
+    "strong.xml",
+    """\
 [mass]
 percents = [50]
 bodies = ["torso_geom"]
@@ -39,7 +33,8 @@ bodies = ["feet"]
 [splits.mass-v1]
 description = "every change of mass"
 held_out = [{ category = ["mass"] }]
-"""
+""",
+)
 
 
 @pytest.fixture(autouse=True)
