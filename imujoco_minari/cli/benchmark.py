@@ -77,8 +77,8 @@ def few_shot(
     --output names another. A killed run continues where it stopped, and a finished cell is never computed
     again while its data, policies, settings and versions are the same. Datasets that are missing are
     published first. Without options, it runs the whole protocol few-shot-v1, which takes hours. --method
-    takes the class of your own as <module>:<Class>. Settings are chosen with --setting and --validation,
-    which uses the training variants alone.
+    takes your own class as <module>:<Class>. To choose settings, use --setting with --validation, which
+    evaluates on training variants alone.
 
     Examples: `imujoco benchmark few-shot --split hopper-random-v1 --jobs 2`,
     `imujoco benchmark few-shot -m scratch --held-out hopper-frictiondec_50_feet --budget 5x100 --seeds 1`

@@ -157,8 +157,8 @@ def combine(
     """Combine datasets of one robot into a collection.
 
     With --robot, it combines the datasets of all variants of the robot, and stops if one is not published.
-    The default id, as imujoco/hopper-all-v0, stands for these variants: name other sets with --id. A
-    collection whose sources have not changed is left alone.
+    The default id, as imujoco/hopper-all-v0, stands for these variants. Name other sets with --id.
+    If the sources of a collection have not changed, it is left alone.
 
     Examples: `imujoco combine --robot hopper`,
     `imujoco combine --robot hopper --category mass --tier random`,
@@ -217,14 +217,14 @@ def verify_datasets(
 ) -> None:
     """Check datasets for damage, and replay every episode.
 
-    It checks structure, attributes and digests, that the dataset is what this package makes for its id, and
-    that every replayed value is equal, bit for bit. It states what it cannot check of a dataset. With
+    It checks structure, attributes and digests. It checks that the dataset is what this package makes for
+    its id, and that every replayed value is equal, bit for bit. It states what it cannot check. With
     filters, it checks the datasets of the chosen variants that are in the Minari root. It exits with 1
     when a dataset has a finding.
 
-    With --published, a dataset must also have the digest that this version of the package lists for it: it is
-    the dataset that this version makes. A dataset without a listed digest is not checked, and the exit code
-    is 2.
+    With --published, a dataset must also have the digest that this version of the package lists for it. So it
+    is the dataset that this version makes. A dataset without a listed digest is not checked, and the exit
+    code is 2.
 
     Examples: `imujoco verify imujoco/hopper-massdec_25_leggeom-v0`,
     `imujoco verify --robot hopper --tier random --jobs 2`,
@@ -296,8 +296,8 @@ def delete_datasets(
 ) -> None:
     """Delete datasets from the Minari root.
 
-    It lists the datasets and asks first. A dataset whose episodes a linked collection refers to is kept,
-    unless that collection is deleted too. A folder that holds other files beside a dataset is kept.
+    It lists the datasets and asks first. If a linked collection refers to a dataset, the dataset is kept,
+    unless the collection is deleted too. A folder with other files beside a dataset is kept.
 
     Examples: `imujoco delete imujoco/hopper-massdec_25_leggeom-v0`,
     `imujoco delete --robot hopper --tier random`,

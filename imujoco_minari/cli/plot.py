@@ -63,7 +63,7 @@ def transfer(
 ) -> None:
     """Evaluate every expert of a robot on every variant.
 
-    The base robot is one of the variants here. It writes a heat map (PNG, SVG) and the numbers (CSV), into
+    The base robot counts as a variant. The command writes a heat map (PNG, SVG) and the numbers (CSV), into
     the folder `transfer-<robot>` unless --output names another. An interrupted run continues where it
     stopped. --episodes is the number for each policy and variant. With --policy, the given policies are
     evaluated instead of the experts.

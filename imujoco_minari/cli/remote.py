@@ -41,9 +41,9 @@ def push_datasets(
 ) -> None:
     """Upload datasets to a remote.
 
-    With filters, it uploads the datasets of the chosen variants that are in the Minari root. Each gets a
-    card. Its digests are checked first; after the upload, the remote's files are compared with it. A
-    dataset that the remote has already is left alone, so an interrupted push can be continued.
+    With filters, it uploads the datasets of the chosen variants that are in the Minari root. Each
+    dataset gets a card. Its digests are checked first. After the upload, it is compared with the remote's
+    files. A dataset that the remote has already is left alone, so an interrupted push can be continued.
 
     Examples: `imujoco push imujoco/hopper-massdec_25_leggeom-v0 --remote hf://user`,
     `imujoco push --robot hopper --remote gcp://bucket`
