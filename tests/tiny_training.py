@@ -1,4 +1,4 @@
-"""Hyperparameters of a training run of seconds, which still explores, learns, settles and evaluates."""
+"""Hyperparameters of a training run of seconds, which still explores, learns and evaluates."""
 
 from __future__ import annotations
 
@@ -8,10 +8,13 @@ TINY: dict[str, Any] = {
     "exploration_steps": 150,
     "evaluate_every": 100,
     "max_steps": 350,
-    "settling_steps": 100,
+    "settling_steps": 0,
     "batch_size": 16,
     "ranking_episodes": 1,
     "choosing_episodes": 2,
     "deciding_episodes": 3,
     "confirming_episodes": 3,
 }
+
+# The agent is made anew, and so compiled anew, where its learning rate changes.
+SETTLING = TINY | {"settling_steps": 100}

@@ -12,7 +12,7 @@ import gymnasium as gym
 import minari
 import numpy as np
 import pytest
-from tiny_training import TINY
+from tiny_training import SETTLING, TINY
 
 from imujoco_minari.cli.app import run as run_command
 from imujoco_minari.cli.training import describe_trained
@@ -21,7 +21,7 @@ from imujoco_minari.errors import PolicyError, PolicyNotFoundError, TrainingErro
 from imujoco_minari.policies import expert_actor, expert_record, expert_variants, policies_folder
 from imujoco_minari.policies.evaluation import evaluate
 from imujoco_minari.publishing.publisher import publish
-from imujoco_minari.training import sweep
+from imujoco_minari.training import ladder, sweep
 from imujoco_minari.training.agents import (
     actor_of,
     agent_actor,
@@ -32,6 +32,7 @@ from imujoco_minari.training.agents import (
     save_arrays,
 )
 from imujoco_minari.training.hyperparameters import FAR, SCRATCH, WARM, hyperparameters
+from imujoco_minari.training.ladder import Ladder
 from imujoco_minari.training.plan import Plan
 from imujoco_minari.training.run import CHOOSING_SEED, CONFIRMING_SEED, Run
 from imujoco_minari.training.starts import START_SEED, best_start
@@ -42,20 +43,28 @@ from imujoco_minari.variants import Variant
 BASE = Variant.parse("hopper-base")
 LIGHT_LEG = Variant.parse("hopper-massdec_25_leggeom")
 
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
 # Two milder variants for 200 of the 350 steps, which end in the second and third intervals.
-STONES = TINY | {"stones": 2, "approach_share": 200 / 350}
+STONES = SETTLING | {"stones": 2, "approach_share": 200 / 350}
+
+
+@pytest.fixture
+def quick_ladder(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Measure rungs in one episode, and leave out the runs that give variants a medium rung."""
+    monkeypatch.setattr(Ladder, "climb", lambda *arguments: None)
+    monkeypatch.setattr(ladder, "EPISODES", 1)
+    monkeypatch.setattr(ladder, "MEDIUM_EPISODES", 1)
 
 
 @pytest.mark.parametrize(
     "task",
     [
-        Task(BASE, hyperparameters("hopper", SCRATCH, **TINY)),
+        Task(BASE, hyperparameters("hopper", SCRATCH, **SETTLING)),
         Task(LIGHT_LEG, hyperparameters("hopper", FAR, **STONES)),
     ],
     ids=["base", "by stepping stones"],
 )
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_a_killed_run_ends_in_the_weights_of_one_that_was_not(task: Task, tmp_path: Path) -> None:
     whole = Run(task, tmp_path / "whole")
     record = whole.train()
@@ -74,8 +83,7 @@ def test_a_killed_run_ends_in_the_weights_of_one_that_was_not(task: Task, tmp_pa
     assert again["evaluation"] == record["evaluation"]
 
 
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_a_start_that_reaches_the_target_is_the_expert(tmp_path: Path) -> None:
+def test_a_start_that_reaches_the_target_is_the_expert(tmp_path: Path, quick_ladder: None) -> None:
     unlisted = Variant.parse("hopper-massdec_26_leggeom")
     (outcome,) = train_all([unlisted], Plan(tmp_path / "state", changes=TINY, target=-1e9))
     assert (outcome.created, outcome.error) == (True, "")
@@ -132,9 +140,12 @@ def test_a_variant_is_trained_from_its_base_and_published(tmp_path: Path, unship
     assert metadata["ref_min_score"] == record["random"]["return_mean"]
 
 
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_a_whole_robot_gets_a_generalist_to_start_from(
-    tmp_path: Path, unshipped: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path,
+    unshipped: None,
+    quick_ladder: None,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     variants = (LIGHT_LEG, Variant.parse("hopper-massinc_200_torsogeom"))
     monkeypatch.setattr(sweep, "catalogue", lambda robot: variants)
@@ -178,7 +189,6 @@ def test_a_whole_robot_gets_a_generalist_to_start_from(
     assert [outcome.created for outcome in train_all(variants, plan)] == [False, False]
 
 
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_an_agent_is_restored_whole_or_refused(tmp_path: Path) -> None:
     settings = hyperparameters("hopper", WARM, **TINY)
     agent = make_agent(make(BASE), settings, seed=1)
@@ -219,9 +229,8 @@ def test_a_variant_without_a_base_agent_says_what_to_train_first(tmp_path: Path,
         train(LIGHT_LEG, Plan(tmp_path / "state"))
 
 
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_the_last_steps_are_made_at_the_settling_rate(tmp_path: Path) -> None:
-    settings = hyperparameters("hopper", SCRATCH, **TINY | {"max_steps": 450, "settling_rate": 0.0})
+    settings = hyperparameters("hopper", SCRATCH, **SETTLING | {"max_steps": 450, "settling_rate": 0.0})
     run = Run(Task(BASE, settings), tmp_path)
     run.train()
     agent = weakref.ref(run._agent)
@@ -235,7 +244,6 @@ def test_the_last_steps_are_made_at_the_settling_rate(tmp_path: Path) -> None:
     assert not all(np.array_equal(learning[name], settled[name]) for name in settled)
 
 
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_a_run_goes_by_way_of_milder_variants_and_is_judged_in_its_own(tmp_path: Path) -> None:
     task = Task(
         LIGHT_LEG, hyperparameters("hopper", FAR, **STONES | {"max_steps": 450, "approach_share": 4 / 9})
@@ -263,7 +271,6 @@ def test_a_run_goes_by_way_of_milder_variants_and_is_judged_in_its_own(tmp_path:
     run.close()
 
 
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_an_actor_that_seems_the_best_is_looked_at_longer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
