@@ -54,8 +54,9 @@ def main() -> None:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, interrupt)
     for stream in (sys.stdout, sys.stderr):
-        # A character that the terminal's encoding lacks is printed as an escape.
-        stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
+        # A character that the terminal's encoding lacks is printed as an escape. A log file gets the lines of
+        # long work as they are printed.
+        stream.reconfigure(errors="backslashreplace", line_buffering=True)  # type: ignore[union-attr]
     _name_glfw_library()
     try:
         code = run(sys.argv[1:])

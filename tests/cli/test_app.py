@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -160,3 +161,14 @@ def test_the_module_runs_as_the_command() -> None:
         [sys.executable, "-m", "imujoco_minari", "--version"], capture_output=True, text=True, check=True
     )
     assert done.stdout.startswith("imujoco-minari ")
+
+
+def test_a_log_file_gets_each_line_at_once() -> None:
+    """The lines of long work would else wait in a buffer, and be lost when the work is killed."""
+    code = (
+        "import os, sys; from imujoco_minari.cli.app import main; sys.argv[1:] = ['line']; "
+        "main.__globals__['run'] = lambda words: print(*words) or os._exit(0); main()"
+    )
+    buffered = {key: value for key, value in os.environ.items() if key != "PYTHONUNBUFFERED"}
+    done = subprocess.run([sys.executable, "-c", code], env=buffered, capture_output=True, check=True)
+    assert done.stdout == b"line\n"
