@@ -37,10 +37,10 @@ from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS, Variant
 
 if TYPE_CHECKING:
     from imujoco_minari.publishing.new_dataset import Published
-    from imujoco_minari.training.hyperparameters import Hyperparameters
     from imujoco_minari.training.plan import Plan
     from imujoco_minari.training.run import OnInterval, Progress
     from imujoco_minari.training.sweep import Trained
+    from imujoco_minari.training.task import Task
 
 policy = typer.Typer(help="Use a policy in other libraries.")
 app.add_typer(policy, name="policy")
@@ -171,16 +171,17 @@ def _trained(
 def _teller(quiet: bool) -> OnInterval:
     """Return a function that prints a line after each evaluation, with the longest time that is left."""
 
-    def tell(state: Progress, hyperparameters: Hyperparameters) -> None:
+    def tell(state: Progress, task: Task) -> None:
         last = state.evaluations[-1] if state.evaluations else None
         if quiet or last is None or last["steps"] != state.steps:
             return
-        steps_left = max(0, hyperparameters.max_steps - state.steps)
+        steps_left = max(0, task.settings.max_steps - state.steps)
         left = steps_left * state.wall_seconds / state.steps
+        purpose = task.purpose and f", for {task.purpose}"
         say(
             f"{state.steps:>9,} steps  return {last['return_mean']:8.1f} ± {last['return_std']:6.1f}"
             f"  best score {state.best_score:8.1f}  {state.wall_seconds / 60:6.1f} min, "
-            f"at most {left / 60:.0f} left"
+            f"at most {left / 60:.0f} left{purpose}"
         )
 
     return tell

@@ -119,7 +119,7 @@ def record_training(
         tier: the tier of the dataset.
         device: see :func:`~imujoco_minari.training.agents.make_agent`.
         force: replace the dataset that has the id.
-        on_interval: called with the run's progress and hyperparameters after every interval.
+        on_interval: called with the progress and the task after every interval.
         on_episode: called after each whole episode.
 
     Raises:

@@ -116,7 +116,7 @@ class Ladder:
             self.add_missing(folder / "ladder", run.progress.evaluations)
             while needed & self.missing() and not run.finished:
                 run.train_interval()
-                on_interval(run.progress, run.task.settings)
+                on_interval(run.progress, run.task)
                 self.add_missing(folder / "ladder", run.progress.evaluations[-1:])
 
     def missing(self) -> set[float]:
@@ -164,4 +164,4 @@ def climb_task(variant: Variant, plan: Plan) -> Task:
         choosing_episodes=settings.ranking_episodes,
         deciding_episodes=settings.ranking_episodes,
     )
-    return Task(variant, settings, plan.seed)
+    return Task(variant, settings, plan.seed, purpose="the lower tiers")

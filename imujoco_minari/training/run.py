@@ -34,7 +34,7 @@ from imujoco_minari.training.agents import (
     restore_agent,
     save_arrays,
 )
-from imujoco_minari.training.hyperparameters import SCRATCH, Hyperparameters
+from imujoco_minari.training.hyperparameters import SCRATCH
 from imujoco_minari.training.task import Task
 from imujoco_minari.variants import BASE, Variant
 
@@ -80,10 +80,10 @@ def score(evaluation: Mapping[str, Any]) -> float:
 
 
 # Called after every interval.
-OnInterval = Callable[[Progress, Hyperparameters], None]
+OnInterval = Callable[[Progress, Task], None]
 
 
-def do_nothing(progress: Progress, settings: Hyperparameters) -> None:
+def do_nothing(progress: Progress, task: Task) -> None:
     """Do nothing after an interval."""
 
 
@@ -142,13 +142,13 @@ class Run:
         """Train until the target or the last step and return the record of the best actor.
 
         Args:
-            on_interval: called with progress and hyperparameters after every interval.
+            on_interval: called with the progress and the task after every interval.
         """
         if self.task.agent and not self.progress.intervals:
             self._evaluate_actor(time.monotonic())
         while not self.finished:
             self.train_interval()
-            on_interval(self.progress, self.task.settings)
+            on_interval(self.progress, self.task)
         return self._make_record()
 
     @property

@@ -76,7 +76,7 @@ def train(variant: Variant, plan: Plan, on_interval: OnInterval = do_nothing) ->
     Args:
         variant: any variant of the grammar.
         plan: the settings.
-        on_interval: called with the run's progress and hyperparameters after every interval.
+        on_interval: called with the progress and the task of a run after every interval.
 
     Raises:
         PolicyNotFoundError: if the agent to start from does not exist.

@@ -26,6 +26,7 @@ class Task:
         start_sha256: digest of that agent's actor, from its record.
         target: the run stops when an actor's evaluation over the deciding episodes has this score.
         among: if given, train and evaluate in these variants instead, one drawn for each episode.
+        purpose: what the run is for if not for an expert, for messages.
     """
 
     variant: Variant
@@ -36,6 +37,7 @@ class Task:
     start_sha256: str = ""
     target: float = float("inf")
     among: tuple[Variant, ...] = ()
+    purpose: str = ""
 
     @property
     def path(self) -> tuple[Variant, ...]:

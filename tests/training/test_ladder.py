@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from imujoco_minari.cli.training import describe_trained
+from imujoco_minari.cli.training import _teller, describe_trained
 from imujoco_minari.policies import Actor, load_policy
 from imujoco_minari.policies.evaluation import Evaluation
 from imujoco_minari.policies.rungs import has_even_ranks, has_medium, medium_rung, rung_file
@@ -206,3 +207,14 @@ def test_a_climb_is_short_and_never_longer_than_the_user_allows(plan: Plan) -> N
     short = Plan(plan.state, plan.policies, changes={"max_steps": 1000, "ranking_episodes": 2})
     assert climb_task(VARIANT, short).settings.max_steps == 1000
     assert climb_task(VARIANT, short).settings.choosing_episodes == 2
+
+
+def test_a_line_of_progress_says_that_a_climb_trains_no_expert(
+    plan: Plan, capsys: pytest.CaptureFixture[str]
+) -> None:
+    climb = climb_task(VARIANT, plan)
+    state = Progress(steps=2000, evaluations=[{"steps": 2000, "return_mean": 300.0, "return_std": 4.0}])
+    for task in (climb, replace(climb, purpose="")):
+        _teller(quiet=False)(state, task)
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.partition("left")[2] for line in lines] == [", for the lower tiers", ""]
