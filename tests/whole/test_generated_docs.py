@@ -58,7 +58,7 @@ def test_the_references_of_the_bases_are_those_of_their_records(generator: Modul
         measured = (
             f"{each['return_mean']:.1f} ± {each['return_std']:.1f}" for each in (random, medium, expert)
         )
-        assert f"| `{base}` | {' | '.join(measured)} | " in page
+        assert f"| `{base}` | {' | '.join(measured)} |\n" in page
 
 
 def test_a_stale_page_is_named(tmp_path: Path) -> None:
