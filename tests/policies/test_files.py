@@ -286,7 +286,8 @@ class TestBombs:
                 target.writestr(name, source.read(name))
         path = write_zip(tmp_path / "a.zip", packed.getvalue())
         assert path.stat().st_size < 10_000
-        with pytest.raises(PolicyError, match="more than 268435456 bytes of memory"):
+        # A busy processor reaches the limit of time first.
+        with pytest.raises(PolicyError, match=r"more than (2 seconds|268435456 bytes)"):
             read_actor(path)
 
     def test_many_entries(self, tmp_path: Path) -> None:
