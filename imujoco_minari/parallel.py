@@ -11,9 +11,9 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
+from contextlib import closing, suppress
 from functools import partial
 from multiprocessing import resource_tracker
 from pathlib import Path
@@ -69,15 +69,17 @@ def run_jobs(
         outcomes = _run_on_processes(function, arguments, jobs)
     else:
         outcomes = ((number, function(argument), None) for number, argument in enumerate(arguments))
-    for number, result, error in outcomes:
-        if error is not None:
-            raise error
-        yield number, result
+    # Joblib's generator must be closed in this thread, and the traceback of a raised error keeps it alive.
+    with closing(outcomes):
+        for number, result, error in outcomes:
+            if error is not None:
+                raise error
+            yield number, result
 
 
 def _run_on_processes(
     function: Callable[[Any], Any], arguments: Sequence[Any], jobs: int
-) -> Iterator[_Outcome]:
+) -> Generator[_Outcome]:
     call = partial(_call, function, _paths())
     waiting = dict(enumerate(arguments))
     while waiting:
@@ -127,7 +129,7 @@ def _run_side_by_side(
     yield from outcomes
 
 
-def _run_on_ray(function: Callable[[Any], Any], arguments: Sequence[Any]) -> Iterator[_Outcome]:
+def _run_on_ray(function: Callable[[Any], Any], arguments: Sequence[Any]) -> Generator[_Outcome]:
     """Run each job as a Ray task.
 
     Joblib has a Ray back end, but it returns all results at the end or none, and cannot tell which job

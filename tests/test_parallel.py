@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
+import warnings
 from pathlib import Path
 
 import h5py
@@ -107,6 +110,18 @@ def test_every_job_comes_back_once():
 def test_what_a_job_raises_is_raised(jobs):
     with pytest.raises(DatasetError, match="two is refused"):
         list(run_jobs(refuse, range(4), jobs=jobs))
+
+
+def test_jobs_that_are_given_up_end_in_the_thread_that_started_them():
+    with pytest.raises(DatasetError) as raised:
+        list(run_jobs(refuse, range(40), jobs=2))
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        del raised
+        collector = threading.Thread(target=gc.collect)
+        collector.start()
+        collector.join()
+    assert not [str(warning.message) for warning in warned if "joblib" in str(warning.message)]
 
 
 def test_a_lost_workers_job_is_run_again(tmp_path):
