@@ -9,7 +9,7 @@ from imujoco_minari.benchmark import protocol
 from imujoco_minari.benchmark.lines import Line
 from imujoco_minari.benchmark.methods import BOUNDS, METHODS
 from imujoco_minari.benchmark.offline import ALGORITHMS, TIERS
-from imujoco_minari.benchmark.scores import ALL, MethodScore, few_shot_scores, offline_scores
+from imujoco_minari.benchmark.scores import ALL, MethodScore
 from imujoco_minari.variants import CATEGORIES, ROBOTS
 
 # The setting of the table by category, and of the figure of return against steps.
@@ -146,7 +146,7 @@ def results_page(
     few_shot: Sequence[Line],
     offline: Sequence[Line],
     findings: str,
-    scores: tuple[Sequence[MethodScore], Sequence[MethodScore]] | None = None,
+    scores: tuple[Sequence[MethodScore], Sequence[MethodScore]],
 ) -> str:
     """Return the results page as Markdown.
 
@@ -154,10 +154,9 @@ def results_page(
         few_shot: the few-shot lines.
         offline: the offline lines.
         findings: the text that begins the page, in Markdown.
-        scores: the scores of the few-shot and of the offline lines; None to compute them, which takes
-            seconds.
+        scores: those of the few-shot lines and those of the offline lines.
     """
-    few_scores, off_scores = scores or (few_shot_scores(few_shot), offline_scores(offline))
+    few_scores, off_scores = scores
     parts = ["# Results", findings.strip(), _HOW]
     for title, lines, own, figures, tables in (
         ("Few-shot imitation", few_shot, few_scores, few_shot_figures, few_shot_tables),

@@ -26,7 +26,7 @@ class Task:
         start_sha256: digest of that agent's actor, from its record.
         target: the run stops when an actor's evaluation over the deciding episodes has this score.
         among: if given, train and evaluate in these variants instead, one drawn for each episode.
-        purpose: what the run is for if not for an expert, for messages.
+        purpose: the reason for a run that trains no expert, for messages; empty for an expert's run.
     """
 
     variant: Variant

@@ -79,13 +79,14 @@ def test_offline_scores_separate_the_base_from_the_variants() -> None:
 def test_the_page_has_every_method_and_its_files_are_reproducible(tmp_path: Path) -> None:
     from imujoco_minari.pictures.plotting.scores import plot_bars, plot_curves
 
-    text = page.results_page(FEW, OFF, "What was found.")
-    assert text == page.results_page(FEW, OFF, "What was found.")
+    few_scores, off_scores = few_shot_scores(FEW), offline_scores(OFF)
+    text = page.results_page(FEW, OFF, "What was found.", (few_scores, off_scores))
+    assert text == page.results_page(FEW, OFF, "What was found.", (few_shot_scores(FEW), offline_scores(OFF)))
     assert text.startswith("# Results\n\nWhat was found.")
     assert "| mine | 25 | 0.15 (" in text
     assert "| told | 0 | 0.80 (0.80 to 0.80) | 0.80 (0.80 to 0.80) |" in text
     assert "| hopper | medium-expert | base | bc | 0.45 (" in text
-    figures = page.few_shot_figures(few_shot_scores(FEW)) + page.offline_figures(offline_scores(OFF))
+    figures = page.few_shot_figures(few_scores) + page.offline_figures(off_scores)
     for figure in figures:
         assert f"results-figures/{figure.name}.svg" in text
         stem = tmp_path / figure.name
@@ -96,4 +97,4 @@ def test_the_page_has_every_method_and_its_files_are_reproducible(tmp_path: Path
         svg = files[-1].read_text("utf-8")
         for method in {method for panel in figure.panels.values() for method in panel}:
             assert method in svg
-    assert len(to_csv(few_shot_scores(FEW)).splitlines()) == 1 + len(few_shot_scores(FEW))
+    assert len(to_csv(few_scores).splitlines()) == 1 + len(few_scores)
