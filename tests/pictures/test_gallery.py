@@ -229,8 +229,10 @@ def test_datasets_that_are_published_here_are_told(tmp_path: Path, drawn: list[s
     assert score.origin == "measured for this page"
 
 
-def test_the_lines_of_code_run(tmp_path: Path) -> None:
-    entry = entries.Entry(LEG, (), entries.scores(LEG), entries.Clip("random", 0.2, 10.0, True))
+@pytest.mark.parametrize("name", [str(LEG), "hopper-massinc_50_torsogeom-frictiondec_50_feet"])
+def test_the_lines_of_code_run(tmp_path: Path, name: str) -> None:
+    variant = Variant.parse(name)
+    entry = entries.Entry(variant, (), entries.scores(variant), entries.Clip("random", 0.2, 10.0, True))
     (_, shell, _), *pythons = snippets(entry)
     assert shell.startswith("imujoco publish ")
     assert run([*shell.split()[1:], "--episodes", "5"]) == 0

@@ -109,8 +109,8 @@ def snippets(entry: Entry) -> list[tuple[str, str, str]]:
         ),
         (
             "Run the environment with the policy",
-            "import gymnasium\nimport numpy as np\n\nimport imujoco_minari\n\n"
-            f'env = gymnasium.make("{variant.environment_id}")\n'
+            "import numpy as np\n\nimport imujoco_minari\n\n"
+            f'env = imujoco_minari.make("{variant}")\n'
             f"policy = imujoco_minari.load_policy({policy})\n"
             "rng = np.random.default_rng(0)\n"
             "observation, info = env.reset(seed=0)\n"
