@@ -20,6 +20,7 @@ from imujoco_minari.errors import DependencyError, PolicyError, RenderingError, 
 from imujoco_minari.pictures.gallery import build, clips, entries
 from imujoco_minari.pictures.gallery.clips import ClipMaker
 from imujoco_minari.pictures.gallery.pages import short, snippets, summary
+from imujoco_minari.pictures.rendering.scene import COLOURS
 from imujoco_minari.policies import RandomPolicy
 from imujoco_minari.variants import Variant, catalogue
 
@@ -352,6 +353,24 @@ def test_a_variant_that_fails_is_named_and_the_others_are_shown(
     index = (tmp_path / "site" / "index.html").read_text("utf-8")
     assert str(FOOT) in index
     assert str(LEG) not in index
+
+
+def test_the_first_page_names_the_robots_and_the_colours_that_it_shows(
+    tmp_path: Path, drawn: list[str]
+) -> None:
+    build(tmp_path / "site", [FOOT, Variant.parse("ant-gearinc_50_hip1-dampingdec_50_hip1")])
+    index = (tmp_path / "site" / "index.html").read_text("utf-8")
+    assert "2 variants and 2 base robots of Hopper and Ant. With an expert policy: 0." in index
+    legend = re.findall(
+        r'<span class="(\w+)">([^<]+)</span>', index[index.index("<header") : index.index("</header")]
+    )
+    assert legend == [
+        ("length", "length"),
+        ("gear", "strength of the motor"),
+        ("damping", "damping"),
+    ]
+    style = (tmp_path / "site" / "style.css").read_text("utf-8")
+    assert all(f".{name} {{ color: var(--{name}); }}" in style for name in COLOURS)
 
 
 def test_without_opengl_nothing_is_half_made(

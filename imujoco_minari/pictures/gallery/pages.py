@@ -26,15 +26,18 @@ def index_page(entries: Sequence[Entry]) -> str:
     order = (*CATEGORIES, COMPOUND)
     shown = sorted({v.category for v in variants} - {BASE}, key=order.index)
     experts = sum(entry.best.tier == EXPERT for entry in entries)
+    robots = list(dict.fromkeys(variant.robot for variant in variants))
+    titles = list(map(_title, robots))
     base_of = {entry.variant: entry for entry in entries if entry.variant.category == BASE}
     return _load_template("index.html").substitute(
         count=f"{changed} of {changed} variants, {len(entries) - changed} of {len(entries) - changed} bases",
         changed=_format_count(changed, "variant"),
         bases=_format_count(len(entries) - changed, "base robot"),
         experts=experts,
+        legend=_render_legend(variants),
         version=escape(version("imujoco-minari")),
-        robots=_render_options((robot, _title(robot)) for robot in dict.fromkeys(v.robot for v in variants)),
-        titles=escape(", ".join(_title(robot) for robot in dict.fromkeys(v.robot for v in variants))),
+        robots=_render_options(zip(robots, titles, strict=True)),
+        titles=escape(" and ".join(filter(None, (", ".join(titles[:-1]), titles[-1])))),
         categories=_render_options((name, name) for name in (*shown, BASE)),
         bodies=_render_options((name, name) for name in bodies),
         percents=_render_options(
@@ -270,6 +273,14 @@ def _render_neighbour_link(variant: Variant | None, relation: str, label: str) -
     return f'<a rel="{relation}" href="{variant}.html">{label}: {_add_break_points(variant)}</a>'
 
 
+def _render_legend(variants: Iterable[Variant]) -> str:
+    used = {change.category for variant in variants for change in variant.changes}
+    names = (
+        f'<span class="{name}">{escape(BY_NAME[name].quantity)}</span>' for name in CATEGORIES if name in used
+    )
+    return f"The colour of a part shows what changes: {', '.join(names)}." if used else ""
+
+
 def _render_options(values: Iterable[tuple[str, str]]) -> str:
     return "".join(f'<option value="{escape(value)}">{escape(label)}</option>' for value, label in values)
 
@@ -297,7 +308,8 @@ def _format_number(value: float) -> str:
 
 
 def _format_share(share: float) -> str:
-    return f"{share:.2f}".replace("-", MINUS)
+    # Adding 0 makes a rounded -0 a 0.
+    return f"{round(share, 2) + 0:.2f}".replace("-", MINUS)
 
 
 def _format_normalised(share: float | None) -> str:
