@@ -25,6 +25,7 @@ from imujoco_minari.verification import child_process
 from imujoco_minari.verification.check import check, unreadable
 from imujoco_minari.verification.findings import MAX_FINDINGS, Finding, Findings, differs
 from imujoco_minari.verification.identity import dataset_models
+from imujoco_minari.verification.modes import actions
 from imujoco_minari.verification.published import compare_with_published, published_entry
 from imujoco_minari.verification.replay import replay
 
@@ -114,12 +115,17 @@ def inspect(data: Path, *, replay_episodes: int | None = None, untrusted: bool =
 def _replayed(
     data: Path, metadata: Mapping[str, Any], numbers: range | None, on_episode: _OnEpisode = None
 ) -> list[Finding]:
-    """Replay the numbered episodes of a dataset that was checked, None for all; return what differs."""
+    """Replay the numbered episodes of a dataset that was checked, None for all; return what differs.
+
+    The share with the first episode also checks the policies' actions.
+    """
     findings: list[Finding] = []
     try:
         with h5py.File(file_format.main_file(data), "r") as file:
             every = range(len(file))
             chosen = every if numbers is None else every[numbers.start : numbers.stop]
+            if 0 in chosen:
+                findings += actions(file, metadata)
             for finding in replay(file, chosen, dataset_models(metadata), on_episode):
                 findings.append(finding)
                 if len(findings) >= MAX_FINDINGS:

@@ -75,15 +75,28 @@ def known(metadata: Mapping[str, Any], content: Content) -> Known | None:
     if is_collection(metadata):
         return None
     variant, tier = content.identities[0]
+    made_by = known_parts(variant, tier, metadata)
     if is_randomised(metadata):
-        # The policies are those of the unchanged robot.
         variant = variant.base
-    made_by = _known_parts(variant, tier, metadata)
     expert = {} if isinstance(variant, OriginalVariant) else expert_record(variant)
     if "random" not in expert:
         return Known(made_by, {}, False)
     by_expert = str(expert.get("weights_sha256")) in _policies(metadata)
     return Known(made_by, reference_scores(variant), by_expert)
+
+
+def known_parts(variant: Variant, tier: str, metadata: Mapping[str, Any]) -> list[TierPart] | None:
+    """Return the parts of a dataset whose policies are all known here, or None."""
+    if is_collection(metadata) or isinstance(variant, OriginalVariant):
+        return None
+    # The policies of a randomised dataset are those of the unchanged robot.
+    variant = variant.base if is_randomised(metadata) else variant
+    stochastic = metadata.get("policy_deterministic") is False
+    try:
+        found = parts(variant, tier, metadata["total_episodes"], path=None, stochastic=stochastic)
+    except ImujocoError:
+        return None
+    return found if [part.policy.sha256 for part in found] == _policies(metadata) else None
 
 
 def is_collection(metadata: Mapping[str, Any]) -> bool:
@@ -271,18 +284,6 @@ def _policies(metadata: Mapping[str, Any]) -> list[str]:
     """Return the digests of the policies that made a dataset; empty where it states none."""
     stated = metadata.get("policy_sha256")
     return stated.split(",") if isinstance(stated, str) and _POLICY_DIGESTS.fullmatch(stated) else []
-
-
-def _known_parts(variant: Variant, tier: str, metadata: Mapping[str, Any]) -> list[TierPart] | None:
-    """Return the parts of a dataset whose policies are all known here, or None."""
-    if isinstance(variant, OriginalVariant):
-        return None
-    stochastic = metadata.get("policy_deterministic") is False
-    try:
-        found = parts(variant, tier, metadata["total_episodes"], path=None, stochastic=stochastic)
-    except ImujocoError:
-        return None
-    return found if [part.policy.sha256 for part in found] == _policies(metadata) else None
 
 
 def _runs(runs: Sequence[tuple[int, Mapping[str, Any]]], made_by: Sequence[TierPart]) -> Iterator[Finding]:

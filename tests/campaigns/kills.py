@@ -36,18 +36,28 @@ A, B = "imujoco/hopper-base-random-v0", "imujoco/hopper-massdec_25_leggeom-rando
 ALL = "imujoco/hopper-both-random-v0"
 ARCHIVED = ("hopper-massdec_25_leggeom", "walker2d-jointdec_50_footjoint")
 # The command line on a run of seconds: four intervals, one of them without updates.
+# With a shorter run for the lower tiers: it is not among the settings.
 TRAIN = """
 import sys
 from imujoco_minari.cli import main
-from imujoco_minari.training import hyperparameters
-table = hyperparameters._table()
-table["scratch"] |= dict(exploration_steps=1000, evaluate_every=1000, max_steps=4000, batch_size=16,
-                         ranking_episodes=2, choosing_episodes=2, deciding_episodes=3,
-                         confirming_episodes=4)
-sys.argv = ["imujoco", "train", "hopper-massinc_37_torsogeom", "--scratch", "--state", "state"]
+from imujoco_minari.training import ladder
+ladder.CLIMB_STEPS = 4000
+sys.argv = ["imujoco", *sys.argv[1:]]
 main()
 """
+SETTINGS = (
+    "exploration_steps=1000",
+    "evaluate_every=1000",
+    "max_steps=4000",
+    "batch_size=16",
+    "ranking_episodes=2",
+    "choosing_episodes=2",
+    "deciding_episodes=3",
+    "confirming_episodes=4",
+)
 CLI = ("-m", "imujoco_minari")
+# Hidden files that belong to a namespace and to an export that is a folder.
+MARKS = (".namespace", ".imujoco-export.json")
 # In the traceback of an interrupt that came before the command line had begun.
 BEGINNING = (
     "init_import_site",
@@ -112,7 +122,10 @@ COMMANDS = {
         (*SOURCES, (*CLI, "export", A, "-f", "d4rl", "-o", "out.hdf5")),
     ),
     "export rlds": Command((*EXPORT, "rlds", "-o", "out"), files, SOURCES, refuses_again=True),
-    "train": Command(("-c", TRAIN), policies),
+    "train": Command(
+        ("-c", TRAIN, "train", "hopper-massinc_37_torsogeom", "--scratch", "--state", "state",
+         *(word for setting in SETTINGS for word in ("--set", setting))), policies,
+    ),
 }  # fmt: skip
 
 
@@ -184,7 +197,7 @@ class Trials:
         refused = now == self.after and self.command.refuses_again
         assert again.returncode == (1 if refused else 0), again.stderr
         assert self.command.look(self.place) == self.after, "the next run made something else"
-        left = [path for path in self.place.rglob(".*") if path.name != ".namespace"]
+        left = [path for path in self.place.rglob(".*") if path.name not in MARKS]
         if left and refused:
             os.environ["MINARI_DATASETS_PATH"] = str(self.place / "root")
             transactions.tidy()

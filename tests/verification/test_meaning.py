@@ -14,7 +14,8 @@ import pytest
 
 from imujoco_minari.policies.rollouts import episode_seed
 from imujoco_minari.publishing.combiner import combine_datasets
-from imujoco_minari.publishing.publisher import publish
+from imujoco_minari.publishing.publisher import publish, publish_recipe
+from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.storage import file_format
 from imujoco_minari.storage.metadata import complete_metadata, read_metadata
 from imujoco_minari.variants import Variant
@@ -35,6 +36,7 @@ def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
             publish(variant, tier="random", episodes=3)
         publish("hopper-base", tier="ranked", episodes=5)
         publish("hopper-massdec_25_leggeom", episodes=1)
+        publish_recipe(Recipe(Variant("hopper"), tier="medium", stochastic=True, episodes=1))
         combine_datasets([BASE, LEG], BOTH)
     return root
 
@@ -122,7 +124,7 @@ def versions(dataset: Dataset, **changed: str) -> dict[str, str]:
     return dict(dataset.metadata["versions"], **changed)
 
 
-EXPERT = "imujoco/hopper-massdec_25_leggeom-v0"
+EXPERT, SAMPLED = "imujoco/hopper-massdec_25_leggeom-v0", "imujoco/hopper-base-medium-v0"
 BOX = {"type": "Box", "dtype": "float32", "shape": [3], "low": [-2.0] * 3, "high": [2.0] * 3}
 CHANGES: dict[str, tuple[str, Callable[[Dataset], Any], str]] = {
     "id of another variant": (BASE, lambda d: d.set(dataset_id=LEG), "dataset_id"),
@@ -173,6 +175,8 @@ CHANGES: dict[str, tuple[str, Callable[[Dataset], Any], str]] = {
         lambda d: d.set(policy_deterministic=True),
         "policy_deterministic",
     ),
+    "modes as samples": (EXPERT, lambda d: d.set(policy_deterministic=False), "episode_0/actions"),
+    "samples as modes": (SAMPLED, lambda d: d.set(policy_deterministic=True), "episode_0/actions"),
     "ranks swapped": (RANKED, swap_ranks, "episode_0@"),
     "other versions": (BASE, lambda d: d.set(versions=versions(d, mujoco="3.0.0")), "requirements"),
     "no versions": (BASE, lambda d: d.set(versions=...), "versions"),
@@ -216,7 +220,7 @@ def test_a_changed_meaning_is_found(published: Path, root: Path, kind: str) -> N
 
 def test_an_honest_dataset_has_no_exception(published: Path, root: Path) -> None:
     shutil.copytree(published, root)
-    for name in (BASE, LEG, EXPERT, RANKED, BOTH):
+    for name in (BASE, LEG, EXPERT, SAMPLED, RANKED, BOTH):
         assert (verify(name), verify(name).exceptions) == ([], ())
 
 

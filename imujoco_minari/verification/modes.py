@@ -1,0 +1,46 @@
+"""Whether a dataset's actions are the modes of the policies that its metadata state."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+import h5py
+import numpy as np
+
+from imujoco_minari.policies import Actor
+from imujoco_minari.storage import file_format
+from imujoco_minari.variants.original import variant_of
+from imujoco_minari.verification.expected import known_parts
+from imujoco_minari.verification.findings import Finding
+
+# Another machine rounds otherwise: 1e-6. A sample differs from the mode by 1e-2.
+TOLERANCE = 1e-4
+
+
+def actions(file: h5py.File, metadata: Mapping[str, Any]) -> Iterator[Finding]:
+    """Report a known policy that did not choose the actions as the metadata state.
+
+    It looks at the first episode of each policy, because the modes of all take a third of the replay's time.
+
+    Args:
+        file: the open HDF5 file of a dataset that was checked.
+        metadata: its metadata.
+    """
+    first = 0
+    stated = file[file_format.episode_name(0)].attrs
+    for part in known_parts(variant_of(stated), str(stated["tier"]), metadata) or ():
+        name = file_format.episode_name(first)
+        first += part.episodes
+        if part.episodes == 0 or not isinstance(part.policy, Actor):
+            continue
+        observations, chosen = file[name]["observations"][:-1], file[name]["actions"][()]
+        modes = replace(part.policy, deterministic=True).act(observations, np.random.default_rng())
+        are_modes = np.allclose(chosen, modes, rtol=0, atol=TOLERANCE)
+        if are_modes != part.policy.deterministic:
+            yield Finding(
+                f"{name}/actions",
+                f"are {'the' if are_modes else 'not the'} modes of the policy, and the metadata state "
+                f"policy_deterministic: {str(part.policy.deterministic).lower()}",
+            )
