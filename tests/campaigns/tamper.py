@@ -28,6 +28,7 @@ from imujoco_minari.publishing.combiner import combine_datasets
 from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.storage import file_format
 from imujoco_minari.storage.metadata import complete_metadata, read_metadata
+from imujoco_minari.variants import Ranges
 from imujoco_minari.verification import inspect
 
 # The campaign makes digests and the size right again. No check can know the rest: see docs/promises.md.
@@ -250,6 +251,9 @@ def main() -> None:
         os.environ["MINARI_DATASETS_PATH"] = folder
         ids = [publish(name, tier="random", episodes=3).dataset_id for name in ("hopper-base", WORDS[2])]
         ids.append(publish("hopper-base", tier="ranked", episodes=5).dataset_id)
+        ids.append(
+            publish(Ranges("hopper", {"mass/torsogeom": (-50, 100)}), tier="random", episodes=3).dataset_id
+        )
         ids.append(combine_datasets(ids[:2], "imujoco/hopper-both-v0").id)
         sound = {dataset_id: inspect(Path(folder) / dataset_id / "data") for dataset_id in ids}
         assert not any(sound.values()), sound
