@@ -36,7 +36,7 @@ A, B = "imujoco/hopper-base-random-v0", "imujoco/hopper-massdec_25_leggeom-rando
 ALL = "imujoco/hopper-both-random-v0"
 ARCHIVED = ("hopper-massdec_25_leggeom", "walker2d-jointdec_50_footjoint")
 # The command line on a run of seconds: four intervals, one of them without updates.
-# With a shorter run for the lower tiers: it is not among the settings.
+# `--set` cannot shorten the run for the lower tiers, so the program does.
 TRAIN = """
 import sys
 from imujoco_minari.cli import main
