@@ -139,7 +139,7 @@ def check_robot(robot: str) -> None:
     """
     page = specification(robot)
     try:
-        spec = _baked(robot)
+        spec = _bake_once(base_text(robot))
         for name in (*page.root_joints, *page.stance):
             find(spec, "joint", name)
         for category, listing in page.categories.items():
@@ -158,9 +158,16 @@ class _Edited(NamedTuple):
 
 @lru_cache(maxsize=4)
 def _edited(variant: Variant) -> _Edited:
-    spec = _baked(variant.robot)
+    """Apply the changes of a variant to its robot's model, in their order, and stand it on the floor."""
+    text, page = base_text(variant.robot), specification(variant.robot)
+    spec, base = _bake_once(text).copy(), _base_model(text)
+    shift = 0.0
     try:
-        shift = apply_changes(spec, variant)
+        for change in variant.changes:
+            names = change.mjcf_names(variant.robot)
+            BY_NAME[change.category].apply(Edit(spec, names, change.factor, page, base))
+        if any(BY_NAME[change.category].moves_limbs for change in variant.changes):
+            shift = _stand(spec, _clearance(text))
         return _Edited(spec, spec.compile(), shift)
     except ModelError as error:
         raise ModelError(f"{variant}: {error}") from None
@@ -168,30 +175,8 @@ def _edited(variant: Variant) -> _Edited:
         raise ModelError(f"{variant}: MuJoCo cannot compile the edited model: {error}") from None
 
 
-def apply_changes(spec: mujoco.MjSpec, variant: Variant) -> float:
-    """Apply the changes of a variant to its robot's model, in their order.
-
-    Args:
-        spec: the model of the base robot, as :func:`bake` returns it. It is changed in place.
-        variant: the variant.
-
-    Returns:
-        The height (m) by which the root was raised, so that the robot stands on the floor.
-
-    Raises:
-        ModelError: when the model has no such part.
-    """
-    page = specification(variant.robot)
-    stands = any(BY_NAME[change.category].moves_limbs for change in variant.changes)
-    clearance = lowest_point(compile_shape(spec)) if stands else 0.0
-    for change in variant.changes:
-        names = change.mjcf_names(variant.robot)
-        BY_NAME[change.category].apply(Edit(spec, names, change.factor, page))
-    return _stand(spec, clearance) if stands else 0.0
-
-
 def _stand(spec: mujoco.MjSpec, clearance: float) -> float:
-    """Raise the root so that the lowest point of the rest pose has this height (m); return by how much."""
+    """Raise the root so that the lowest point of the rest pose has a height (m); return by how much (m)."""
     shift = clearance - lowest_point(compile_shape(spec))
     root = spec.bodies[1]
     root.pos = root.pos + [0.0, 0.0, shift]
@@ -203,14 +188,19 @@ def _stand(spec: mujoco.MjSpec, clearance: float) -> float:
     return shift
 
 
-def _baked(robot: str) -> mujoco.MjSpec:
-    """Return a new spec of the base robot with its compiled inertias written out."""
-    return _bake_once(base_text(robot)).copy()
-
-
 @lru_cache(maxsize=16)
 def _bake_once(text: str) -> mujoco.MjSpec:
     return bake(text)
+
+
+@lru_cache(maxsize=16)
+def _base_model(text: str) -> mujoco.MjModel:
+    return compile_shape(_bake_once(text))
+
+
+@lru_cache(maxsize=16)
+def _clearance(text: str) -> float:
+    return lowest_point(_base_model(text))
 
 
 def base_text(robot: str) -> str:

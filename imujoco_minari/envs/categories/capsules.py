@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from imujoco_minari.envs.categories.interface import Edit
 from imujoco_minari.errors import ModelError
 
 Floats = NDArray[np.float64]
@@ -32,23 +31,15 @@ def compile_shape(spec: mujoco.MjSpec) -> mujoco.MjModel:
     return copied.compile()
 
 
-def reshape(
-    spec: mujoco.MjSpec,
-    body: mujoco.MjsBody,
-    root_joints: Sequence[str],
-    *,
-    length: float = 1.0,
-    radius: float = 1.0,
-) -> None:
+def reshape(edit: Edit, body: mujoco.MjsBody, *, length: float = 1.0, radius: float = 1.0) -> None:
     """Scale the length of a capsule's segment and its radius. The density stays.
 
     The point of the segment nearest to the limb's joint stays where it is, or the centre if the limb has no
     joint of its own. Child bodies move with the end that they are attached to.
 
     Args:
-        spec: the model.
-        body: a body that is one capsule.
-        root_joints: names of the joints that move the whole robot.
+        edit: the change.
+        body: a body of the model that is one capsule.
         length: factor on the length.
         radius: factor on the radius.
 
@@ -57,8 +48,9 @@ def reshape(
     """
     if len(body.geoms) != 1 or body.geoms[0].type != mujoco.mjtGeom.mjGEOM_CAPSULE:
         raise ModelError(f"body {body.name!r} is not one capsule, so its shape cannot change")
-    numbers = {each: number for number, each in enumerate(spec.bodies)}
-    model, geom = compile_shape(spec), body.geoms[0]
+    numbers = {each: number for number, each in enumerate(edit.spec.bodies)}
+    # An earlier change moves and scales limbs, but turns none, and leaves the geom's own shape explicit.
+    model, geom = edit.base, body.geoms[0]
     index = model.body_geomadr[numbers[body]]
     axis = _rotated(np.array([0.0, 0.0, 1.0]), model.geom_quat[index])
     if not np.isnan(geom.fromto[0]):
@@ -69,7 +61,7 @@ def reshape(
     thickness, half = geom.size[0], geom.size[1]
     centre = np.array(geom.pos)
     density = body.mass / _volume(thickness, half) if body.explicitinertial else geom.density
-    hinges = [joint for joint in body.joints if joint.name not in root_joints]
+    hinges = [joint for joint in body.joints if joint.name not in edit.page.root_joints]
     fixed = 0.0 if not hinges else float(np.clip((hinges[0].pos - centre) @ axis, -half, half))
 
     def moved(along: float) -> Floats:

@@ -21,12 +21,14 @@ class Edit:
         names: MJCF names of the parts to change.
         factor: the factor on the base value, ``1 + percent / 100``.
         page: the robot's page.
+        base: the unchanged model, compiled. Categories take measures from it, and do not change it.
     """
 
     spec: mujoco.MjSpec
     names: tuple[str, ...]
     factor: float
     page: RobotSpecification
+    base: mujoco.MjModel
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ def _apply(edit: Edit) -> None:
     # From mass to density and back would cost the last bit.
     if edit.factor != 1.0:
         for body in find_all(edit, "limb"):
-            reshape(edit.spec, body, edit.page.root_joints, length=edit.factor)
+            reshape(edit, body, length=edit.factor)
 
 
 CATEGORY = CategoryLaw("length", "length", "length", "limb", _apply, SHAPE_FIELDS, moves_limbs=True)

@@ -12,7 +12,7 @@ def _apply(edit: Edit) -> None:
     # From mass to density and back would cost the last bit.
     if edit.factor != 1.0:
         for body in find_all(edit, "limb"):
-            reshape(edit.spec, body, edit.page.root_joints, radius=edit.factor)
+            reshape(edit, body, radius=edit.factor)
 
 
 CATEGORY = CategoryLaw("size", "thickness", "thickness", "limb", _apply, SHAPE_FIELDS, moves_limbs=True)
