@@ -207,9 +207,11 @@ def _check_reward(rows: Transitions, rewards: Array, robot: str, formula: Reward
     effort = np.square(rows.actions[inner].astype(np.float64)).sum(axis=1)
     given = rewards[inner] + formula.control_cost * effort - formula.healthy
     error = float(np.median(np.abs(given - expected)))
-    spread = float(np.median(np.abs(expected - np.median(expected))))
-    seen = f"median difference {error:.3g} where the forward velocity spreads by {spread:.3g}"
-    return Check(what, error <= 0.5 * spread + 0.02, seen)
+    typical = float(np.median(expected))
+    spread = float(np.median(np.abs(expected - typical)))
+    seen = f"median difference {error:.3g} where the forward velocity is {typical:.3g} ± {spread:.3g}"
+    # A fast and steady robot's velocity changes more within a step than from step to step.
+    return Check(what, error <= max(0.5 * spread, 0.03 * abs(typical)) + 0.02, seen)
 
 
 def _check_terminated(done: Array, terminated: Array) -> Check:
