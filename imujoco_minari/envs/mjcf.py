@@ -176,7 +176,7 @@ def _edited(variant: Variant) -> _Edited:
 
 
 def _stand(spec: mujoco.MjSpec, clearance: float) -> float:
-    """Raise the root so that the lowest point of the rest pose has a height (m); return by how much (m)."""
+    """Raise the root until the lowest point of the rest pose is at ``clearance`` (m); return by how much."""
     shift = clearance - lowest_point(compile_shape(spec))
     root = spec.bodies[1]
     root.pos = root.pos + [0.0, 0.0, shift]

@@ -74,8 +74,8 @@ def import_jax() -> Any:
     Raises:
         DependencyError: if JAX is not installed.
     """
-    # XLA reads its number of threads here. Updates are small: more threads take 1.4 times the processor time
-    # and save no time.
+    # XLA makes this many threads. Updates are small: a thread for each core takes 1.4 times the processor time
+    # and is not faster.
     os.environ.setdefault("NPROC", "1")
     try:
         import jax
