@@ -74,8 +74,8 @@ def import_jax() -> Any:
     Raises:
         DependencyError: if JAX is not installed.
     """
-    # XLA makes this many threads. Updates are small: a thread for each core takes 1.4 times the processor time
-    # and is not faster.
+    # XLA makes this many threads. Updates are small: with a thread for each core, they take 1.4 times the
+    # processor time and are not faster.
     os.environ.setdefault("NPROC", "1")
     try:
         import jax
