@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from imujoco_minari.publishing.combiner import combine_datasets
     from imujoco_minari.publishing.on_demand import load_dataset
     from imujoco_minari.publishing.publisher import publish
-    from imujoco_minari.variants.off_dynamics import off_dynamics
+    from imujoco_minari.variants.off_dynamics import off_dynamics, off_dynamics_names
     from imujoco_minari.variants.splits import held_out
     from imujoco_minari.verification import verify
 
@@ -48,6 +48,7 @@ __all__ = [
     "make",
     "normalized_score",
     "off_dynamics",
+    "off_dynamics_names",
     "publish",
     "randomised",
     "register",
@@ -67,6 +68,7 @@ _LAZY = {
     "load_policy": "policies",
     "normalized_score": "policies.normalized",
     "off_dynamics": "variants.off_dynamics",
+    "off_dynamics_names": "variants.off_dynamics",
     "publish": "publishing.publisher",
     "verify": "verification",
 }

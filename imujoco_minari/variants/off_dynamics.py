@@ -69,8 +69,15 @@ def off_dynamics(name: str) -> OffDynamicsTask:
 def off_dynamics_names(robot: str | None = None) -> tuple[str, ...]:
     """Return the names of all tasks, or of those of one robot.
 
+    Args:
+        robot: one of ``hopper``, ``halfcheetah``, ``walker2d`` and ``ant``.
+
     Raises:
         VariantError: if no task has this robot.
+
+    Example:
+        >>> len(off_dynamics_names()), off_dynamics_names("hopper")[0]
+        (71, 'hopper-friction-0.1')
     """
     pages = _pages()
     if robot is not None and robot not in pages:
