@@ -29,7 +29,7 @@ pytestmark = [
     # Joblib's processes are forked or kept beyond the call, and are reaped when the session ends.
     pytest.mark.filterwarnings("ignore:.*worker.*:UserWarning"),
     pytest.mark.filterwarnings("ignore::ResourceWarning"),
-    # Joblib's thread may look for a job that was just given up. It ends there, after its workers.
+    # Joblib's thread may fail on a job that was just given up. Its workers are killed by then.
     pytest.mark.filterwarnings("ignore:.*ExecutorManagerThread:pytest.PytestUnhandledThreadExceptionWarning"),
 ]
 

@@ -70,7 +70,7 @@ def off_dynamics_names(robot: str | None = None) -> tuple[str, ...]:
     """Return the names of all tasks, or of those of one robot.
 
     Args:
-        robot: one of ``hopper``, ``halfcheetah``, ``walker2d`` and ``ant``.
+        robot: one of ``hopper``, ``halfcheetah``, ``walker2d`` and ``ant``; None for all.
 
     Raises:
         VariantError: if no task has this robot.

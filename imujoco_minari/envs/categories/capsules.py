@@ -49,7 +49,7 @@ def reshape(edit: Edit, body: mujoco.MjsBody, *, length: float = 1.0, radius: fl
     if len(body.geoms) != 1 or body.geoms[0].type != mujoco.mjtGeom.mjGEOM_CAPSULE:
         raise ModelError(f"body {body.name!r} is not one capsule, so its shape cannot change")
     numbers = {each: number for number, each in enumerate(edit.spec.bodies)}
-    # It serves after other changes too: they turn no limb, and a changed geom states its own shape.
+    # The base model serves after other changes too: they turn no limb. A changed geom states its own shape.
     model, geom = edit.base, body.geoms[0]
     index = model.body_geomadr[numbers[body]]
     axis = _rotated(np.array([0.0, 0.0, 1.0]), model.geom_quat[index])
