@@ -44,8 +44,11 @@ def linked_file(data: Path, filename: str) -> Path | None:
     return None if outside or path.name != file_format.MAIN_FILE else path
 
 
+Followed = dict[tuple[Path, bytes], tuple[Any, Path]]
+
+
 def follow(
-    file: Any, name: bytes, data: Path, opened: Callable[[Path], Any], depth: int = 0
+    file: Any, name: bytes, data: Path, opened: Callable[[Path], Any], followed: Followed, depth: int = 0
 ) -> tuple[Any, bytes]:
     """Return the file that holds an episode, and the episode's name in it.
 
@@ -54,6 +57,7 @@ def follow(
         name: the name of the episode in it.
         data: the ``data`` folder of the dataset.
         opened: opens another dataset's file.
+        followed: the files that were reached before, which is added to: most episodes lead to a known file.
         depth: number of links that were followed before.
 
     Raises:
@@ -67,16 +71,20 @@ def follow(
     if kind != h5l.TYPE_EXTERNAL:
         raise DatasetError(f"{file.filename}: {where} is a soft link, which datasets do not have")
     filename, target = links.get_val(name)
-    path = linked_file(data, fsdecode(filename))
     target = target.strip(b"/")
-    if path is None or b"/" in target or depth >= MAX_LINKS:
+    if (data, filename) not in followed:
+        path = linked_file(data, fsdecode(filename))
+        if path is not None:
+            # A staged dataset may be a link to the folder of one in the root.
+            folder = path.parent.resolve() if path.parent.parent.is_symlink() else path.parent
+            followed[data, filename] = opened(path), folder
+    if (data, filename) not in followed or b"/" in target or depth >= MAX_LINKS:
         raise DatasetError(
             f"{file.filename}: {where} refers to {fsdecode(filename)[:80]!r}, "
             "which is no dataset of the Minari root"
         )
-    # A staged dataset may be a link to the folder of one in the root.
-    folder = path.parent.resolve() if path.parent.parent.is_symlink() else path.parent
-    return follow(opened(path), target, folder, opened, depth + 1)
+    other, folder = followed[data, filename]
+    return follow(other, target, folder, opened, followed, depth + 1)
 
 
 def _kind(group: h5g.GroupID, name: bytes) -> int:
@@ -121,7 +129,7 @@ def check_episode(file: h5py.File, number: int, data: Path) -> None:
         def opened(path: Path) -> h5py.File:
             return stack.enter_context(h5py.File(path, "r"))
 
-        holder, name = follow(file, file_format.episode_name(number).encode(), data, opened)
+        holder, name = follow(file, file_format.episode_name(number).encode(), data, opened, {})
         _check_group(h5o.open(holder.id, name), f"{holder.filename}: {fsdecode(name)}", 0)
 
 

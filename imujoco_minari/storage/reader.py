@@ -39,8 +39,9 @@ class EpisodeFile:
         self._stack = ExitStack()
         self._types: dict[np.dtype[Any], h5py.h5t.TypeID] = {}
         self._files: dict[Path, h5py.File] = {}
-        self._path = path.absolute()
-        self._file = self._open_file(self._path)
+        self._followed: containment.Followed = {}
+        self._data = path.absolute().parent
+        self._file = self._open_file(path.absolute())
 
     def __enter__(self) -> Self:
         return self
@@ -129,7 +130,7 @@ class EpisodeFile:
         name = file_format.episode_name(episode).encode()
         try:
             # If HDF5 followed the link, it would open and close the other file for every episode.
-            file, name = containment.follow(self._file, name, self._path.parent, self._open_file)
+            file, name = containment.follow(self._file, name, self._data, self._open_file, self._followed)
         except KeyError:
             raise DatasetError(f"{self.name} has no episode {episode}") from None
         try:

@@ -147,7 +147,7 @@ def _follow(file: h5py.File, data: Path, name: str) -> None:
             return stack.enter_context(h5py.File(path, "r"))
 
         try:
-            holder, target = containment.follow(file, name.encode(), data, opened)
+            holder, target = containment.follow(file, name.encode(), data, opened, {})
             if target not in holder.id:
                 raise UnreadableError(name, f"refers to {shown(target)}, which does not exist")
         except DatasetError as error:
