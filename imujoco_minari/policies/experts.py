@@ -64,9 +64,13 @@ def expert_record(variant: Variant, folder: Path | None = None) -> Mapping[str, 
     return record
 
 
-def expert_variants() -> tuple[Variant, ...]:
-    """Return the variants that have an expert policy of the user or of the package, sorted."""
-    names = {path.stem for place in _places(None) if place.is_dir() for path in place.glob("*-*.json")}
+def expert_variants(folder: Path | None = None) -> tuple[Variant, ...]:
+    """Return the variants that have an expert policy of the user or of the package, sorted.
+
+    Args:
+        folder: folder to search before the package's; None means :func:`policies_folder`.
+    """
+    names = {path.stem for place in _places(folder) if place.is_dir() for path in place.glob("*-*.json")}
     found = []
     for name in names:
         if name.endswith(".agent"):

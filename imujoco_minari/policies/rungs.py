@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 from imujoco_minari.errors import PolicyNotFoundError
 from imujoco_minari.policies.actors import Actor
-from imujoco_minari.policies.experts import expert_record, find_policy_file
+from imujoco_minari.policies.experts import expert_record, expert_variants, find_policy_file
 from imujoco_minari.policies.files import read_actor
 from imujoco_minari.variants import Variant
 
@@ -40,6 +40,22 @@ def ladder(variant: Variant) -> Sequence[Rung]:
             f"no ladder of policies exists for {variant}: `imujoco train {variant}` measures one"
         )
     return sorted(rungs, key=mean_return)
+
+
+def rungs_of_variants(robot: str, folder: Path | None = None) -> list[dict[str, Any]]:
+    """Return the ``run`` and the ``steps`` of the rungs that runs on a robot's variants saved.
+
+    Args:
+        robot: the robot.
+        folder: folder to search before the package's; None for the user's policies.
+    """
+    return [
+        {"run": str(variant), "steps": rung["steps"]}
+        for variant in expert_variants(folder)
+        if variant.robot == robot
+        for rung in expert_record(variant, folder).get("ladder", ())
+        if rung.get("run") == str(variant)
+    ]
 
 
 def medium_rung(rungs: Sequence[_Rung], expert_return: float) -> _Rung:

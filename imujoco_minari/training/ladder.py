@@ -1,7 +1,7 @@
 """The ladder of a variant: its base's rungs, evaluated on the variant, and rungs of its own.
 
 A tier needs rungs of certain returns. What the base's rungs do not have comes from the checkpoints of the
-variant's own run, or of a short run from scratch: the climb.
+variant's own run, from the rungs of other variants, or from a short run from scratch: the climb.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from imujoco_minari.policies.rungs import (
     medium_rung,
     read_rung,
     rung_file,
+    rungs_of_variants,
 )
 from imujoco_minari.training.agents import actor_of, load_arrays, save_arrays
 from imujoco_minari.training.hyperparameters import SCRATCH, hyperparameters
@@ -62,9 +63,7 @@ class Ladder:
             expert_record(each, self.policies).get("ladder", []) for each in (self.variant.base, self.variant)
         )
         known = [{"steps": rung["steps"]} for rung in base]
-        known += [
-            self._run | {"steps": rung["steps"]} for rung in own if rung.get("run") == str(self.variant)
-        ]
+        known += [{"run": rung["run"], "steps": rung["steps"]} for rung in own if "run" in rung]
         for rung in known:
             actor = read_rung(self.variant, rung, self.policies)
             self.rungs.append(rung | {"evaluation": self._evaluate(actor, EPISODES)})
@@ -99,10 +98,26 @@ class Ladder:
                 self._add_checkpoint(folder, self._nearest(near, share), episodes, share)
         self._settle_medium()
 
+    def add_borrowed(self) -> None:
+        """If the medium rung is missing, add needed rungs that other variants of the robot made.
+
+        To try one takes seconds, and a climb takes minutes.
+        """
+        for rung in rungs_of_variants(self.variant.robot, self.policies):
+            if MEDIUM_SHARE not in self.missing():
+                return
+            if rung["run"] == str(self.variant):
+                continue
+            measured = self._evaluate(read_rung(self.variant, rung, self.policies), EPISODES)
+            if any(self._is_near(measured["return_mean"], share) for share in self.missing()):
+                self.rungs.append(rung | {"evaluation": measured})
+                self._settle_medium()
+
     def climb(self, plan: Plan, folder: Path, on_interval: OnInterval) -> None:
         """If needed rungs are missing, train from scratch for a while and add the checkpoints that fit.
 
-        A variant needs a medium rung. A base gives its rungs to its variants, so it needs all.
+        A variant needs a medium rung, and first tries the rungs of other variants. A base gives its rungs to
+        its variants, so it needs all.
 
         Args:
             plan: the settings.
@@ -110,6 +125,8 @@ class Ladder:
             on_interval: called after each interval.
         """
         needed = set(NEEDED) if self.variant.category == BASE else {MEDIUM_SHARE}
+        if self.variant.category != BASE:
+            self.add_borrowed()
         if not needed & self.missing():
             return
         with closing(Run(climb_task(self.variant, plan), folder, device=plan.device)) as run:

@@ -171,6 +171,30 @@ def test_a_climb_ends_at_the_medium_rung(
     assert returns(built.rungs) == found
 
 
+def test_rungs_of_other_variants_are_tried_before_a_climb(
+    plan: Plan, scores: dict[tuple[float, int], float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ladder, "Run", Climbing)
+    write_base(plan, [100.0, 900.0])
+    other = Variant.parse("hopper-massdec_12_leggeom")
+    for value in (610.0, 700.0, 390.0, 400.0):
+        save_actor(plan.policies / rung_file(other, int(value)), value)
+    entries = [{"run": str(other), "steps": steps} for steps in (610, 700, 390, 400)]
+    (plan.policies / f"{other}.json").write_text(json.dumps(expert(other, [{"steps": 100}, *entries])))
+    # In ten episodes 390 seems to be a medium rung, and in a hundred it is not.
+    scores[390.0, 100] = 290.0
+    built = known_ladder(plan)
+    built.climb(plan, plan.state, lambda progress, settings: pytest.fail("nothing is missing"))
+    assert [rung.get("run") for rung in built.rungs] == [None, None, str(other), str(other), str(other)]
+    assert returns(built.rungs) == [100.0, 900.0, 610.0, 290.0, 400.0]
+    assert has_medium(expert(VARIANT, built.rungs))
+    # They stay when the ladder is measured again, and they are no rungs of the variant's own.
+    (plan.policies / f"{VARIANT}.json").write_text(json.dumps(expert(VARIANT, built.rungs)))
+    again = known_ladder(plan).rungs
+    assert [rung["steps"] for rung in again] == [rung["steps"] for rung in built.rungs]
+    assert not list(plan.policies.glob(f"{VARIANT}.rung*"))
+
+
 def test_a_ladder_is_renewed_without_training_the_expert(
     plan: Plan, monkeypatch: pytest.MonkeyPatch, home: Path
 ) -> None:
