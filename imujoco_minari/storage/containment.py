@@ -97,6 +97,9 @@ def _kind(group: h5g.GroupID, name: bytes) -> int:
 
 def check_array(array: h5d.DatasetID, where: str) -> None:
     """Raise a DatasetError if an array takes its values from another file."""
+    if array.get_offset() is not None:
+        # One block of this file.
+        return
     properties = array.get_create_plist()
     if properties.get_layout() == h5d.VIRTUAL or properties.get_external_count():
         raise DatasetError(f"{where} takes its values from another file; do not use the dataset")

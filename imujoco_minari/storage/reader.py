@@ -159,6 +159,5 @@ class EpisodeFile:
                 f"{self.name}: episode {episode} has no array {name}; "
                 "valid: datasets whose observations and actions are arrays"
             ) from None
-        if array.get_offset() is None:
-            containment.check_array(array, where)
+        containment.check_array(array, where)
         return array
