@@ -180,6 +180,15 @@ def agent_actor(arrays: dict[str, Array]) -> dict[str, Array]:
     return actor
 
 
+def replace_actor(arrays: dict[str, Array], actor: dict[str, Array]) -> dict[str, Array]:
+    """Return the arrays of :func:`agent_arrays` with another actor, in the form of :func:`actor_arrays`."""
+    replaced = dict(arrays)
+    for ours, theirs in _LAYERS.items():
+        replaced[f"actor/params/{ours}/kernel"] = actor[f"{theirs}.weight"].astype(np.float32).T
+        replaced[f"actor/params/{ours}/bias"] = actor[f"{theirs}.bias"].astype(np.float32)
+    return replaced
+
+
 def actor_of(arrays: dict[str, Array], robot: str) -> Actor:
     """Return the deterministic policy of a robot with the weights of :func:`actor_arrays`."""
     weights = {name: array.astype(np.float32) for name, array in arrays.items()}

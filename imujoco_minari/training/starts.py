@@ -2,6 +2,9 @@
 
 A generalist is one agent trained over all variants of a robot. It cannot know its present variant, so it is
 no expert, but it falls less often than the base's agent in a strongly changed variant.
+
+If neither reaches the target, the experts of other variants are tried. An expert is an actor without critics.
+So it takes the place of the agent's actor only if it reaches the target, or is far better.
 """
 
 from __future__ import annotations
@@ -12,13 +15,15 @@ from pathlib import Path
 from typing import Any
 
 from imujoco_minari.errors import PolicyNotFoundError
-from imujoco_minari.policies import Array, agent_file, expert_record
+from imujoco_minari.policies import Array, agent_file, expert_record, expert_variants, find_policy_file
 from imujoco_minari.policies.evaluation import evaluate
-from imujoco_minari.training.agents import actor_of, agent_actor, load_arrays
-from imujoco_minari.training.run import score
+from imujoco_minari.training.agents import actor_of, agent_actor, load_arrays, replace_actor
+from imujoco_minari.training.run import score as score_of
 from imujoco_minari.variants import Variant
 
 EPISODES, START_SEED = 5, 1_000_005
+# How much better than the agent's actor an expert must be, as a share of the agent's score.
+FAR_BETTER = 0.25
 
 
 @dataclass
@@ -26,7 +31,7 @@ class Start:
     """An agent to start from.
 
     Attributes:
-        name: name of the agent.
+        name: name of the agent, or the variant whose expert is its actor.
         sha256: digest of its actor, from its record.
         agent: arrays of the agent.
         score: score of its evaluation on the variant; -inf if not evaluated.
@@ -64,8 +69,13 @@ def base_start(variant: Variant, policies: Path) -> Start:
     return Start(str(variant.base), str(record["weights_sha256"]), load_arrays(path))
 
 
-def best_start(variant: Variant, policies: Path) -> Start:
-    """Return the better start for a variant: its base's agent, or the robot's generalist if it exists.
+def best_start(variant: Variant, policies: Path, target: float = float("-inf")) -> Start:
+    """Return the best start for a variant.
+
+    Args:
+        variant: the variant.
+        policies: folder to search before the package's.
+        target: the score that an expert of the variant should have.
 
     Raises:
         PolicyNotFoundError: if the base's agent does not exist.
@@ -75,6 +85,31 @@ def best_start(variant: Variant, policies: Path) -> Start:
         record = generalist_record(variant.robot, policies)
         starts.append(Start(generalist_name(variant.robot), str(record["weights_sha256"]), load_arrays(path)))
     for start in starts:
-        actor = actor_of(agent_actor(start.agent), variant.robot)
-        start.score = score(evaluate(variant, actor, episodes=EPISODES, seed=START_SEED).asdict())
-    return max(starts, key=lambda start: start.score)
+        start.score = _score(variant, agent_actor(start.agent), EPISODES)
+    best = max(starts, key=lambda start: start.score)
+    return best if best.score >= target else _expert_start(variant, best, target, policies)
+
+
+def _expert_start(variant: Variant, best: Start, target: float, policies: Path) -> Start:
+    """Return a start with the expert of another variant, or ``best`` if no expert is good enough."""
+    needed, own = min(target, best.score + FAR_BETTER * abs(best.score)), agent_actor(best.agent)
+    experts: dict[Variant, dict[str, Array]] = {}
+    for other in expert_variants(policies):
+        path = find_policy_file(f"{other}.safetensors", policies)
+        if other.robot == variant.robot and other not in (variant, variant.base) and path is not None:
+            actor = load_arrays(path)
+            if {name: array.shape for name, array in actor.items()} == {k: a.shape for k, a in own.items()}:
+                experts[other] = actor
+    # A robot has dozens of experts, so each is seen in one episode first.
+    scores = {other: _score(variant, actor, 1) for other, actor in experts.items()}
+    for other in sorted((each for each in scores if scores[each] >= needed), key=lambda each: -scores[each]):
+        score = _score(variant, experts[other], EPISODES)
+        if score >= needed:
+            sha256 = str(expert_record(other, policies)["weights_sha256"])
+            return Start(str(other), sha256, replace_actor(best.agent, experts[other]), score)
+    return best
+
+
+def _score(variant: Variant, actor: dict[str, Array], episodes: int) -> float:
+    measured = evaluate(variant, actor_of(actor, variant.robot), episodes=episodes, seed=START_SEED)
+    return score_of(measured.asdict())
