@@ -134,9 +134,11 @@ class EpisodeFile:
         except KeyError:
             raise DatasetError(f"{self.name} has no episode {episode}") from None
         try:
-            return h5py.h5g.open(file.id, name), file.id.get_vfd_handle()
+            group = h5py.h5g.open(file.id, name)
         except (KeyError, ValueError):
             raise DatasetError(f"{self.name}: episode {episode} is not a group of {file.filename}") from None
+        containment.check_links(group, f"{self.name}: episode {episode}: ")
+        return group, file.id.get_vfd_handle()
 
     def _open_file(self, path: Path) -> h5py.File:
         if path not in self._files:
@@ -148,16 +150,12 @@ class EpisodeFile:
         return self._files[path]
 
     def _open_array(self, group: h5py.h5g.GroupID, name: str, episode: int) -> h5py.h5d.DatasetID:
-        where = f"{self.name}: episode {episode}: {name}"
         try:
-            containment.check_link(group, name.encode(), where)
             array = h5py.h5d.open(group, name.encode())
-        except DatasetError:
-            raise
         except (KeyError, TypeError, ValueError):
             raise DatasetError(
                 f"{self.name}: episode {episode} has no array {name}; "
                 "valid: datasets whose observations and actions are arrays"
             ) from None
-        containment.check_array(array, where)
+        containment.check_array(array, f"{self.name}: episode {episode}: {name}")
         return array

@@ -158,12 +158,15 @@ def _follow(file: h5py.File, data: Path, name: str) -> None:
 
 def _arrays(group: Any, where: str) -> dict[str, ReadableArray]:
     """Return the arrays of an episode, which holds nothing else."""
+    try:
+        containment.check_links(group, "")
+    except DatasetError as error:
+        raise UnreadableError(where, str(error)) from None
     found = {}
     for raw in group:
         key = raw.decode("utf-8", "surrogateescape")
         place = f"{where}/{key}"
         try:
-            containment.check_link(group, raw, place)
             array = h5py.h5o.open(group, raw)
             if not isinstance(array, h5py.h5d.DatasetID):
                 raise UnreadableError(place, "is no array")
