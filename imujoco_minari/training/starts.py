@@ -17,6 +17,7 @@ from typing import Any
 from imujoco_minari.errors import PolicyNotFoundError
 from imujoco_minari.policies import Array, agent_file, expert_record, expert_variants, find_policy_file
 from imujoco_minari.policies.evaluation import evaluate
+from imujoco_minari.policies.rungs import mean_return
 from imujoco_minari.training.agents import actor_of, agent_actor, load_arrays, replace_actor
 from imujoco_minari.training.run import score as score_of
 from imujoco_minari.variants import Variant
@@ -69,13 +70,14 @@ def base_start(variant: Variant, policies: Path) -> Start:
     return Start(str(variant.base), str(record["weights_sha256"]), load_arrays(path))
 
 
-def best_start(variant: Variant, policies: Path, target: float = float("-inf")) -> Start:
+def best_start(variant: Variant, policies: Path, target_share: float = 0.0) -> Start:
     """Return the best start for a variant.
 
     Args:
         variant: the variant.
         policies: folder to search before the package's.
-        target: the score that an expert of the variant should have.
+        target_share: the score that an expert should have, as a share of the base expert's mean return. If no
+            agent has it, the experts of other variants are tried.
 
     Raises:
         PolicyNotFoundError: if the base's agent does not exist.
@@ -87,6 +89,7 @@ def best_start(variant: Variant, policies: Path, target: float = float("-inf")) 
     for start in starts:
         start.score = _score(variant, agent_actor(start.agent), EPISODES)
     best = max(starts, key=lambda start: start.score)
+    target = target_share * mean_return(expert_record(variant.base, policies))
     return best if best.score >= target else _expert_start(variant, best, target, policies)
 
 

@@ -194,8 +194,8 @@ def task(variant: Variant, plan: Plan) -> Task:
     if plan.scratch or (variant.category == BASE and not improving):
         settings = hyperparameters(variant.robot, SCRATCH, **plan.changes)
         return Task(variant, settings, plan.seed, target=target)
+    start = best_start(variant, plan.policies, TARGET_SHARE)
     needed_score = TARGET_SHARE * mean_return(expert_record(variant.base, plan.policies))
-    start = best_start(variant, plan.policies, needed_score)
     if plan.target is None and not improving:
         target = needed_score
     kind = IMPROVE if variant.category == BASE else _start_kind(start.score / needed_score)

@@ -30,7 +30,9 @@ def agent(value: float, width: int = 4) -> dict[str, Array]:
 
 def write_expert(folder: Path, name: str, value: float, width: int = 4) -> None:
     save_arrays(folder / f"{name}.safetensors", agent_actor(agent(value, width)))
-    (folder / f"{name}.json").write_text(json.dumps({"weights_sha256": f"digest of {name}"}))
+    (folder / f"{name}.json").write_text(
+        json.dumps({"weights_sha256": f"digest of {name}", "evaluation": {"return_mean": 100.0}})
+    )
 
 
 @pytest.fixture
@@ -55,26 +57,26 @@ LIGHT, LIGHTER = "hopper-massdec_25_leggeom", "hopper-massdec_50_leggeom"
 
 
 @pytest.mark.parametrize(
-    ("experts", "target", "found"),
+    ("experts", "target_share", "found"),
     [
-        ({}, 90.0, "hopper-all"),
+        ({}, 0.9, "hopper-all"),
         # The agent has critics, so a somewhat better expert does not replace it.
-        ({LIGHT: 60.0}, 90.0, "hopper-all"),
-        ({LIGHT: 70.0}, 90.0, LIGHT),
-        ({LIGHT: 56.0}, 55.0, LIGHT),
+        ({LIGHT: 60.0}, 0.9, "hopper-all"),
+        ({LIGHT: 70.0}, 0.9, LIGHT),
+        ({LIGHT: 56.0}, 0.55, LIGHT),
         # The agent reaches the target.
-        ({LIGHT: 70.0}, 45.0, "hopper-all"),
-        ({LIGHT: 70.0, LIGHTER: 99.0}, 90.0, LIGHT),
+        ({LIGHT: 70.0}, 0.45, "hopper-all"),
+        ({LIGHT: 70.0, LIGHTER: 99.0}, 0.9, LIGHT),
         # Neither its own expert nor another robot's is tried.
-        ({str(VARIANT): 80.0, "walker2d-massdec_25_leggeom": 80.0}, 90.0, "hopper-all"),
+        ({str(VARIANT): 80.0, "walker2d-massdec_25_leggeom": 80.0}, 0.9, "hopper-all"),
     ],
 )
 def test_an_expert_of_another_variant_is_the_start_if_it_is_far_better(
-    experts: dict[str, float], target: float, found: str, policies: Path
+    experts: dict[str, float], target_share: float, found: str, policies: Path
 ) -> None:
     for name, value in experts.items():
         write_expert(policies, name, value)
-    start = best_start(VARIANT, policies, target)
+    start = best_start(VARIANT, policies, target_share)
     assert start.name == found
     assert start.sha256 == f"digest of {found}"
     value = experts.get(found, 50.0)
@@ -88,4 +90,4 @@ def test_an_expert_of_another_variant_is_the_start_if_it_is_far_better(
 
 def test_an_expert_of_another_shape_is_no_start(policies: Path) -> None:
     write_expert(policies, LIGHT, 80.0, width=8)
-    assert best_start(VARIANT, policies, 90.0).name == "hopper-all"
+    assert best_start(VARIANT, policies, 0.9).name == "hopper-all"

@@ -303,7 +303,7 @@ def test_a_far_start_takes_stepping_stones_and_a_near_one_smaller_steps(
 ) -> None:
     asked = 0.96 * expert_record(BASE)["evaluation"]["return_mean"]
     start = replace(sweep.best_start(LIGHT_LEG, tmp_path), score=share * asked)
-    monkeypatch.setattr(sweep, "best_start", lambda variant, policies, target: start)
+    monkeypatch.setattr(sweep, "best_start", lambda variant, policies, target_share: start)
     task = sweep.task(LIGHT_LEG, Plan(tmp_path))
     assert task.target == pytest.approx(asked)
     assert task.settings.stones == stones
