@@ -57,7 +57,7 @@ def follow(
         name: the name of the episode in it.
         data: the ``data`` folder of the dataset.
         opened: opens another dataset's file.
-        followed: the files that were reached before, which is added to: most episodes lead to a known file.
+        followed: the files that earlier links led to. New ones are added.
         depth: number of links that were followed before.
 
     Raises:
@@ -114,7 +114,7 @@ def check_links(group: h5g.GroupID, where: str) -> None:
             found.append(name)
         return bool(found)
 
-    # One call for all links of the group: to ask for each alone takes a tenth of a load.
+    # One call for all links of the group, instead of one for each.
     group.links.iterate(look, info=True)
     if found:
         raise DatasetError(
