@@ -44,6 +44,7 @@ def linked_file(data: Path, filename: str) -> Path | None:
     return None if outside or path.name != file_format.MAIN_FILE else path
 
 
+# For the folder and the file name of a link: the open file, and the folder of that file.
 Followed = dict[tuple[Path, bytes], tuple[Any, Path]]
 
 
@@ -72,18 +73,17 @@ def follow(
         raise DatasetError(f"{file.filename}: {where} is a soft link, which datasets do not have")
     filename, target = links.get_val(name)
     target = target.strip(b"/")
-    if (data, filename) not in followed:
-        path = linked_file(data, fsdecode(filename))
-        if path is not None:
-            # A staged dataset may be a link to the folder of one in the root.
-            folder = path.parent.resolve() if path.parent.parent.is_symlink() else path.parent
-            followed[data, filename] = opened(path), folder
-    if (data, filename) not in followed or b"/" in target or depth >= MAX_LINKS:
+    link = data, filename
+    if link not in followed and (path := linked_file(data, fsdecode(filename))) is not None:
+        # A staged dataset may be a link to the folder of one in the root.
+        folder = path.parent.resolve() if path.parent.parent.is_symlink() else path.parent
+        followed[link] = opened(path), folder
+    if link not in followed or b"/" in target or depth >= MAX_LINKS:
         raise DatasetError(
             f"{file.filename}: {where} refers to {fsdecode(filename)[:80]!r}, "
             "which is no dataset of the Minari root"
         )
-    other, folder = followed[data, filename]
+    other, folder = followed[link]
     return follow(other, target, folder, opened, followed, depth + 1)
 
 

@@ -124,8 +124,10 @@ class Ladder:
             folder: the state folder of the climb.
             on_interval: called after each interval.
         """
-        needed = set(NEEDED) if self.variant.category == BASE else {MEDIUM_SHARE}
-        if self.variant.category != BASE:
+        if self.variant.category == BASE:
+            needed = set(NEEDED)
+        else:
+            needed = {MEDIUM_SHARE}
             self.add_borrowed()
         if not needed & self.missing():
             return

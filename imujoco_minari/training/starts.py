@@ -95,22 +95,37 @@ def best_start(variant: Variant, policies: Path, target_share: float = 0.0) -> S
 
 def _expert_start(variant: Variant, best: Start, target: float, policies: Path) -> Start:
     """Return a start with the expert of another variant, or ``best`` if no expert is good enough."""
-    needed, own = min(target, best.score + FAR_BETTER * abs(best.score)), agent_actor(best.agent)
-    experts: dict[Variant, dict[str, Array]] = {}
-    for other in expert_variants(policies):
-        path = find_policy_file(f"{other}.safetensors", policies)
-        if other.robot == variant.robot and other not in (variant, variant.base) and path is not None:
-            actor = load_arrays(path)
-            if {name: array.shape for name, array in actor.items()} == {k: a.shape for k, a in own.items()}:
-                experts[other] = actor
+    needed = min(target, best.score + FAR_BETTER * abs(best.score))
+    experts = _other_experts(variant, agent_actor(best.agent), policies)
     # A robot has dozens of experts, so each is seen in one episode first.
-    scores = {other: _score(variant, actor, 1) for other, actor in experts.items()}
-    for other in sorted((each for each in scores if scores[each] >= needed), key=lambda each: -scores[each]):
+    first = {other: _score(variant, actor, 1) for other, actor in experts.items()}
+    for other in sorted(first, key=first.__getitem__, reverse=True):
+        if first[other] < needed:
+            break
         score = _score(variant, experts[other], EPISODES)
         if score >= needed:
             sha256 = str(expert_record(other, policies)["weights_sha256"])
             return Start(str(other), sha256, replace_actor(best.agent, experts[other]), score)
     return best
+
+
+def _other_experts(
+    variant: Variant, own: dict[str, Array], policies: Path
+) -> dict[Variant, dict[str, Array]]:
+    """Return the experts of the robot's other variants whose arrays have the shapes of the actor ``own``."""
+    found = {}
+    for other in expert_variants(policies):
+        path = find_policy_file(f"{other}.safetensors", policies)
+        if other.robot != variant.robot or other in (variant, variant.base) or path is None:
+            continue
+        actor = load_arrays(path)
+        if _shapes(actor) == _shapes(own):
+            found[other] = actor
+    return found
+
+
+def _shapes(arrays: dict[str, Array]) -> dict[str, tuple[int, ...]]:
+    return {name: array.shape for name, array in arrays.items()}
 
 
 def _score(variant: Variant, actor: dict[str, Array], episodes: int) -> float:

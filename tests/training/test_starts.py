@@ -1,4 +1,4 @@
-"""What a variant's training starts from. Each actor here scores what its bias says."""
+"""The start of a variant's training. Each actor here scores what its bias says."""
 
 from __future__ import annotations
 
