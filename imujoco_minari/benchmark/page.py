@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
+from operator import itemgetter
 
 from imujoco_minari.benchmark import protocol
 from imujoco_minari.benchmark.lines import Line
 from imujoco_minari.benchmark.methods import BOUNDS, METHODS
 from imujoco_minari.benchmark.offline import ALGORITHMS, TIERS
-from imujoco_minari.benchmark.scores import ALL, MethodScore
+from imujoco_minari.benchmark.scores import ALL, MethodScore, few_shot_scores
 from imujoco_minari.variants import CATEGORIES, ROBOTS
 
 # The setting of the table by category, and of the figure of return against steps.
@@ -21,6 +23,8 @@ policy's and 1 the expert's of the same variant. It is an interquartile mean ove
 `results.csv` beside it has every number."""
 # A score and the ends of its interval.
 _Interval = tuple[float, float, float]
+# Caption, columns and rows.
+Table = tuple[str, list[str], list[list[str]]]
 
 
 @dataclass(frozen=True)
@@ -109,16 +113,8 @@ def few_shot_tables(scores: Sequence[MethodScore]) -> str:
     parts = []
     for group, tier in dict.fromkeys((score.group, score.tier) for score in scores):
         own = [score for score in scores if (score.group, score.tier) == (group, tier)]
-        whole = [score for score in own if score.category == ALL]
-        budgets = [str(b) for b in protocol.BUDGETS if any(s.budget == str(b) for s in whole)]
-        rows = []
-        for method in _ordered({score.method for score in whole}):
-            for steps in sorted({score.steps for score in whole if score.method == method}):
-                found = {s.budget: s for s in whole if (s.method, s.steps) == (method, steps)}
-                if method in BOUNDS:
-                    found = dict.fromkeys(budgets, next(iter(found.values())))
-                rows.append([method, str(steps), *(_cell(found.get(budget)) for budget in budgets)])
-        parts.append(f"### {group}, {tier}\n\n{table(['method', 'steps', *budgets], rows)}")
+        columns, rows = _by_budget([score for score in own if score.category == ALL])
+        parts.append(f"### {group}, {tier}\n\n{table(columns, rows)}")
         hard = [s for s in own if s.category != ALL and (s.budget == TYPICAL_BUDGET or s.method in BOUNDS)]
         categories = [category for category in CATEGORIES if any(s.category == category for s in hard)]
         rows = []
@@ -131,6 +127,16 @@ def few_shot_tables(scores: Sequence[MethodScore]) -> str:
             + table(["method", "steps", *categories], rows)
         )
     return "\n".join(parts)
+
+
+def variant_tables(lines: Sequence[Line]) -> dict[str, list[Table]]:
+    """Return the tables of each held-out variant of few-shot lines: one for each split and tier."""
+    found: dict[str, list[Table]] = {}
+    key = itemgetter("variant", "split", "tier")
+    for (variant, split, tier), own in groupby(sorted(lines, key=key), key):
+        columns, rows = _by_budget([score for score in few_shot_scores(own) if score.category == ALL])
+        found.setdefault(variant, []).append((f"{split}, {tier}", columns, rows))
+    return found
 
 
 def offline_tables(scores: Sequence[MethodScore]) -> str:
@@ -166,6 +172,19 @@ def results_page(
             drawn = [f"![{each.title}](results-figures/{each.name}.svg)" for each in figures(own)]
             parts += [f"## {title}", _note(lines), *drawn, tables(own)]
     return "\n\n".join(part.strip() for part in parts if part) + "\n"
+
+
+def _by_budget(scores: Sequence[MethodScore]) -> tuple[list[str], list[list[str]]]:
+    """Return the columns and rows of a table: methods and their steps by budget."""
+    budgets = [str(b) for b in protocol.BUDGETS if any(score.budget == str(b) for score in scores)]
+    rows = []
+    for method in _ordered({score.method for score in scores}):
+        for steps in sorted({score.steps for score in scores if score.method == method}):
+            found = {s.budget: s for s in scores if (s.method, s.steps) == (method, steps)}
+            if method in BOUNDS:
+                found = dict.fromkeys(budgets, next(iter(found.values())))
+            rows.append([method, str(steps), *(_cell(found.get(budget)) for budget in budgets)])
+    return ["method", "steps", *budgets], rows
 
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

@@ -205,7 +205,7 @@ def table(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = Fal
     from imujoco_minari.benchmark.scores import few_shot_scores, offline_scores, to_csv
     from imujoco_minari.storage.files import write_text
 
-    few, off = _read(folder)
+    few, off = read_results(folder)
     scores = few_shot_scores(few) + offline_scores(off)
     if output is not None:
         write_text(output, to_csv(scores))
@@ -227,7 +227,7 @@ def page(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = Fals
     from imujoco_minari.pictures.plotting.scores import plot_bars, plot_curves
     from imujoco_minari.storage.files import write_text
 
-    few, off = _read(folder)
+    few, off = read_results(folder)
     few_scores, off_scores = few_shot_scores(few), offline_scores(off)
     target = output or Path("docs")
     figures = pages.few_shot_figures(few_scores) + pages.offline_figures(off_scores)
@@ -251,7 +251,8 @@ def page(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = Fals
     out.print(f"wrote {counted(len(files), 'file')} to {target}")
 
 
-def _read(folder: Path) -> tuple[list[Line], list[Line]]:
+def read_results(folder: Path) -> tuple[list[Line], list[Line]]:
+    """Return the few-shot lines and the offline lines of a folder, the last of each cell."""
     from imujoco_minari.benchmark import few_shot, offline
     from imujoco_minari.benchmark.lines import latest, read_lines
 

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from imujoco_minari.cli.app import FAILED, app
+from imujoco_minari.cli.benchmark import read_results
 from imujoco_minari.cli.estimates import gallery_line, size_text
 from imujoco_minari.cli.options import AsJson, Category, Robot, VariantIds
 from imujoco_minari.cli.printing import fail, out, print_json, progress, say, with_name
@@ -21,6 +22,12 @@ def gallery(
     variants: VariantIds = None,
     robot: Robot = None,
     category: Category = None,
+    results: Annotated[
+        Path | None,
+        typer.Option(
+            "--results", metavar="FOLDER", help="Show the few-shot scores of this folder's results."
+        ),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Build a static website of the variants.
@@ -30,17 +37,20 @@ def gallery(
     second run in the same folder draws only what is new or has changed, so an interrupted run can be
     continued.
 
-    Examples: `imujoco gallery site`, `imujoco gallery site --robot hopper --category length`
+    Examples: `imujoco gallery site`, `imujoco gallery site --robot hopper --category length`,
+    `imujoco gallery site --results results`
     """
+    from imujoco_minari.benchmark.page import variant_tables
     from imujoco_minari.pictures.gallery.builder import build, steps
 
     start = time.monotonic()
+    tables = variant_tables(read_results(results)[0]) if results else {}
     chosen = select(variants, Filters(robot, category, everything=not (variants or robot or category)))
     count = steps(folder, chosen)
     if not as_json and len(chosen) > 1:
         say(gallery_line(count))
     with progress("drawing", count, quiet=as_json) as advance:
-        built = build(folder, chosen, on_variant=advance)
+        built = build(folder, chosen, results=tables, on_variant=advance)
     size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
     result = {
         "index": str(folder / "index.html"),

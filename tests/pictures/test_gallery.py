@@ -405,6 +405,35 @@ def test_the_command_takes_the_filters_of_list(
     assert "did you mean 'hopper'" in capsys.readouterr().err
 
 
+def test_few_shot_scores_stand_on_the_pages_of_their_variants(
+    tmp_path: Path, drawn: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    cell = {
+        "method": "mine",
+        "tier": "expert",
+        "split": "hopper-extremes-v1",
+        "budget": "5x100",
+        "protocol": "p",
+    }
+    returns = {"0": {"returns": [100.0, 200.0], "error": 1.0}, "25": {"returns": [300.0], "error": 1.0}}
+    lines = [
+        cell | {"variant": str(LEG), "seed": seed, "references": [0.0, 1000.0], "results": returns}
+        for seed in (0, 1)
+    ]
+    text = "".join(json.dumps(line) + "\n" for line in lines)
+    (tmp_path / "few-shot.jsonl").write_text(text, "utf-8")
+    arguments = ["gallery", str(tmp_path / "site"), str(LEG), str(FOOT), "--results"]
+    assert run([*arguments, str(tmp_path)]) == 0
+    text = (tmp_path / "site" / "variants" / f"{LEG}.html").read_text("utf-8")
+    assert "<caption>hopper-extremes-v1, expert</caption>" in text
+    rows = re.findall(r'<th scope="row">mine</th><td.*?>(\d+)</td><td.*?>(.*?)</td>', text)
+    assert rows == [("0", "0.15 (0.15 to 0.15)"), ("25", "0.30 (0.30 to 0.30)")]
+    assert "Few-shot" not in Page(tmp_path / "site" / "variants" / f"{FOOT}.html").text
+    capsys.readouterr()
+    assert run([*arguments, str(tmp_path / "nowhere")]) == 1
+    assert "nowhere has no results: `imujoco benchmark few-shot` computes some" in capsys.readouterr().err
+
+
 # The pictures themselves
 
 

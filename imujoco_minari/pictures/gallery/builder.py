@@ -7,7 +7,7 @@ variant, so an interrupted run continues where it stopped.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib import resources
 from pathlib import Path
@@ -15,7 +15,7 @@ from typing import Any
 
 from imujoco_minari.errors import ImujocoError, RenderingError, StorageError
 from imujoco_minari.pictures.gallery.clips import ClipMaker
-from imujoco_minari.pictures.gallery.entries import Clip, Entry, Score, changes, scores
+from imujoco_minari.pictures.gallery.entries import Clip, Entry, Score, Table, changes, scores
 from imujoco_minari.pictures.gallery.pages import index_page, variant_page
 from imujoco_minari.pictures.rendering.files import check_format
 from imujoco_minari.policies.tiers import RANDOM
@@ -45,13 +45,18 @@ class Built:
 
 
 def build(
-    folder: Path, variants: Sequence[Variant], *, on_variant: Callable[[], None] | None = None
+    folder: Path,
+    variants: Sequence[Variant],
+    *,
+    results: Mapping[str, Sequence[Table]] | None = None,
+    on_variant: Callable[[], None] | None = None,
 ) -> Built:
     """Build or update a site. It keeps its variants and gets ``variants`` and their base robots.
 
     Args:
         folder: a new or empty folder, or a site of an earlier run.
         variants: the variants to add or to update.
+        results: maps variants to tables of results, which their pages show.
         on_variant: called after each variant.
 
     Raises:
@@ -82,7 +87,7 @@ def build(
                 write_text(folder / STATE, json.dumps(state, indent=1) + "\n")
             if on_variant is not None:
                 on_variant()
-    _write_pages(folder, entries)
+    _write_pages(folder, entries, results or {})
     return Built(folder, len(entries), drawn, failed)
 
 
@@ -91,14 +96,15 @@ def steps(folder: Path, variants: Sequence[Variant]) -> int:
     return len(_site_variants(variants, _read_state(folder)))
 
 
-def _write_pages(folder: Path, entries: Sequence[Entry]) -> None:
+def _write_pages(folder: Path, entries: Sequence[Entry], results: Mapping[str, Sequence[Table]]) -> None:
     by_robot = {entry.variant.robot: entry for entry in entries if entry.variant == entry.variant.base}
     for number, entry in enumerate(entries):
         neighbours = (
             entries[number - 1].variant if number else None,
             entries[number + 1].variant if number + 1 < len(entries) else None,
         )
-        text = variant_page(entry, by_robot.get(entry.variant.robot), neighbours)
+        tables = results.get(str(entry.variant), ())
+        text = variant_page(entry, by_robot.get(entry.variant.robot), neighbours, tables)
         write_text(folder / "variants" / f"{entry.variant}.html", text)
     for name in ASSETS:
         write_text(

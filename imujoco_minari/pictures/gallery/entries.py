@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +18,8 @@ from imujoco_minari.policies.tiers import RANDOM
 from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.variants import BASE, EXPERT, NAMESPACE, Variant, parse_dataset_id
 
+# Caption, columns and rows of a table of results.
+Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 # A rough return is enough for a random policy. Records have a more exact one.
 RANDOM_EPISODES = 10
 

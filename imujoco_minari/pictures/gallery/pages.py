@@ -11,7 +11,7 @@ from string import Template
 from imujoco_minari.envs.categories import BY_NAME
 from imujoco_minari.envs.differences import Difference
 from imujoco_minari.pictures.gallery.clips import SIZE
-from imujoco_minari.pictures.gallery.entries import Entry, Score, normalised
+from imujoco_minari.pictures.gallery.entries import Entry, Score, Table, normalised
 from imujoco_minari.policies.tiers import RANDOM
 from imujoco_minari.variants import BASE, CATEGORIES, COMPOUND, EXPERT, Variant, specification
 
@@ -51,13 +51,19 @@ def index_page(entries: Sequence[Entry]) -> str:
     )
 
 
-def variant_page(entry: Entry, base: Entry | None, neighbours: tuple[Variant | None, Variant | None]) -> str:
+def variant_page(
+    entry: Entry,
+    base: Entry | None,
+    neighbours: tuple[Variant | None, Variant | None],
+    results: Sequence[Table] = (),
+) -> str:
     """Return the page of one variant.
 
     Args:
         entry: the facts about the variant.
         base: the facts about its base robot, whose clip and returns are shown for comparison.
         neighbours: the variants of the previous and the next page.
+        results: tables of results of methods.
     """
     variant = entry.variant
     is_base = variant.category == BASE
@@ -76,6 +82,7 @@ def variant_page(entry: Entry, base: Entry | None, neighbours: tuple[Variant | N
         else "",
         changes=_render_changes(entry.changes),
         scores=_render_scores(entry, base),
+        results=_render_results(results),
         code="\n".join(_render_code(title, text, language) for title, text, language in snippets(entry)),
         previous=_render_neighbour_link(neighbours[0], "prev", "Previous"),
         next=_render_neighbour_link(neighbours[1], "next", "Next"),
@@ -208,6 +215,20 @@ def _render_scores(entry: Entry, base: Entry | None) -> str:
         "Dataset",
     )
     return _render_table("Policies and returns", columns, rows, text=("Policy", "From", "Dataset"))
+
+
+def _render_results(tables: Sequence[Table]) -> str:
+    if not tables:
+        return ""
+    rendered = (
+        _render_table(escape(caption), list(map(escape, columns)), [list(map(escape, row)) for row in rows])
+        for caption, columns, rows in tables
+    )
+    return (
+        '<section aria-labelledby="results"><h2 id="results">Few-shot imitation</h2>'
+        "<p>Normalised returns by method, gradient steps and demonstrations: 0 is the random policy, 1 the "
+        "expert.</p>" + "".join(rendered) + "</section>"
+    )
 
 
 def _format_score_row(variant: Variant, score: Score, base: Entry | None) -> tuple[str, ...]:
