@@ -34,7 +34,7 @@ class Scratch:
     """
 
     seed: int = 0
-    rate: float = 1e-3
+    rate: float = 3e-4
     steps: tuple[int, ...] = STEPS[1:]
 
     def adapt(self, demonstrations: Arrays) -> Mapping[int, Actor]:
