@@ -77,3 +77,32 @@ def unshipped(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         "imujoco_minari.policies.experts._places", lambda folder: (folder or policies_folder(),)
     )
+
+
+@pytest.fixture
+def checked_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Check datasets in this process: a child takes a second to start, and the verification tests it."""
+    from imujoco_minari.verification import child_process
+    from imujoco_minari.verification.check import check
+
+    monkeypatch.setattr(child_process, "check_apart", lambda data, metadata, jobs=1: check(data, metadata))
+
+
+@pytest.fixture
+def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Read policy zips in this process: a child takes two seconds to import torch."""
+    from imujoco_minari.policies import files
+    from imujoco_minari.policies.sb3_reader import read_zip
+
+    monkeypatch.setattr(files, "run_limited", lambda function, argument, **limits: read_zip(argument))
+
+
+@pytest.fixture(scope="module")
+def kept_compiled() -> Iterator[None]:
+    """Keep JAX's compiled programs when a run is closed: the next agent would compile them again."""
+    from imujoco_minari.training.agents import forget_compiled
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("imujoco_minari.training.run.forget_compiled", lambda: None)
+        yield
+    forget_compiled()

@@ -53,6 +53,7 @@ def main() -> None:
 
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, interrupt)
+    _open_closed_streams()
     for stream in (sys.stdout, sys.stderr):
         # A character that the terminal's encoding lacks is printed as an escape. A log file gets the lines of
         # long work as they are printed.
@@ -66,6 +67,16 @@ def main() -> None:
             raise
         code = INTERRUPTED
     sys.exit(INTERRUPTED if interrupted and code else code)
+
+
+def _open_closed_streams() -> None:
+    """Open the null device for each standard stream that is closed. Python has None for it.
+
+    Otherwise the next file that is opened would take its place, and get what libraries print.
+    """
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, Path(os.devnull).open(mode))  # noqa: SIM115
 
 
 def _ignore_thread_exception(raised: threading.ExceptHookArgs) -> None:

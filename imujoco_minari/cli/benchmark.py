@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,14 +13,16 @@ import typer
 
 from imujoco_minari.cli.app import advancing, app
 from imujoco_minari.cli.estimates import time_text
-from imujoco_minari.cli.options import AsJson, Jobs, Output
+from imujoco_minari.cli.options import AsJson, DryRun, Jobs, Output, Tiers
 from imujoco_minari.cli.printing import counted, out, print_json, print_table, progress, say
 from imujoco_minari.errors import BenchmarkError
 from imujoco_minari.storage import minari_root
-from imujoco_minari.variants import EXPERT, ROBOTS, held_out, parse_dataset_id
+from imujoco_minari.variants import EXPERT, ROBOTS, HeldOut, held_out, parse_dataset_id
 
 if TYPE_CHECKING:
+    from imujoco_minari.benchmark.few_shot import FewShotGrid
     from imujoco_minari.benchmark.lines import Line
+    from imujoco_minari.benchmark.offline import OfflineGrid
     from imujoco_minari.benchmark.scores import MethodScore
     from imujoco_minari.publishing.recipes import Recipe
 
@@ -36,7 +39,6 @@ Methods = Annotated[
 Seeds = Annotated[
     int | None, typer.Option("--seeds", min=1, metavar="N", help="Number of seeds. [default: the protocol's]")
 ]
-Estimate = Annotated[bool, typer.Option("--estimate", help="State the work and its time, and stop.")]
 
 
 @benchmark.command("few-shot")
@@ -49,10 +51,7 @@ def few_shot(
         list[str] | None,
         typer.Option("--held-out", metavar="VARIANT", help="A held-out variant; may be repeated."),
     ] = None,
-    tiers: Annotated[
-        list[str] | None,
-        typer.Option("--tier", "-t", metavar="TIER", help="Tier of the data. [default: expert]"),
-    ] = None,
+    tiers: Tiers = None,
     budgets: Annotated[
         list[str] | None,
         typer.Option("--budget", metavar="NAME", help="Windows and their steps, as in 5x100 or 1xall."),
@@ -67,7 +66,7 @@ def few_shot(
     ] = False,
     jobs: Jobs = 1,
     output: Output = None,
-    estimate: Estimate = False,
+    dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
     """Run few-shot imitation.
@@ -95,9 +94,7 @@ def few_shot(
     if validation:
         chosen = [validation_split(split) for split in chosen]
     if variants and not splits:
-        chosen = [split for split in chosen if set(split.test) & set(variants)][:1]
-        if not chosen:
-            raise BenchmarkError(f"{variants[0]} is held out in none of {', '.join(names)}")
+        chosen = _holding_out(variants, chosen)
     grid = FewShotGrid(
         {name: with_settings(find_method(name), settings or ()) for name in methods or METHODS},
         chosen,
@@ -106,13 +103,11 @@ def few_shot(
         range(seeds or SEEDS),
         variants,
     )
-    cells = grid.cells()
-    say(f"{counted(cells, 'cell')}: about {time_text(grid.seconds() / jobs)} with --jobs {jobs}")
-    if not estimate:
-        _publish(_recipes(grid.dataset_ids()), jobs, quiet=as_json)
-        with progress("computing", cells, quiet=as_json) as on_cells:
-            lines = run_few_shot(grid, output or RESULTS, jobs=jobs, on_cells=on_cells)
-        _show(few_shot_scores(lines), as_json)
+    _state(grid, jobs, dry_run=dry_run, as_json=as_json)
+    _publish(_recipes(grid.dataset_ids()), jobs, quiet=as_json)
+    with progress("computing", grid.cells(), quiet=as_json) as on_cells:
+        lines = run_few_shot(grid, output or RESULTS, jobs=jobs, on_cells=on_cells)
+    _show(few_shot_scores(lines), as_json)
 
 
 @benchmark.command()
@@ -130,7 +125,7 @@ def offline(
     ] = None,
     jobs: Jobs = 1,
     output: Output = None,
-    estimate: Estimate = False,
+    dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
     """Run offline reinforcement learning on the bases' datasets.
@@ -151,13 +146,11 @@ def offline(
         range(seeds or SEEDS),
         updates or UPDATES,
     )
-    cells = grid.cells()
-    say(f"{counted(cells, 'cell')}: about {time_text(grid.seconds() / jobs)} with --jobs {jobs}")
-    if not estimate:
-        _publish(grid.recipes(), jobs, quiet=as_json)
-        with progress("training", cells, quiet=as_json) as on_cells:
-            lines = run_offline(grid, output or RESULTS, jobs=jobs, on_cells=on_cells)
-        _show(offline_scores(lines), as_json)
+    _state(grid, jobs, dry_run=dry_run, as_json=as_json)
+    _publish(grid.recipes(), jobs, quiet=as_json)
+    with progress("training", grid.cells(), quiet=as_json) as on_cells:
+        lines = run_offline(grid, output or RESULTS, jobs=jobs, on_cells=on_cells)
+    _show(offline_scores(lines), as_json)
 
 
 @benchmark.command()
@@ -224,7 +217,7 @@ def page(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = Fals
     """
     from imujoco_minari.benchmark import page as pages
     from imujoco_minari.benchmark.scores import few_shot_scores, offline_scores, to_csv
-    from imujoco_minari.pictures.plotting.scores import plot_bars, plot_curves
+    from imujoco_minari.pictures.plotting.scores import plot_scores
     from imujoco_minari.storage.files import write_text
 
     few, off = read_results(folder)
@@ -233,12 +226,9 @@ def page(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = Fals
     figures = pages.few_shot_figures(few_scores) + pages.offline_figures(off_scores)
     files: list[Path] = []
     for figure in figures:
+        labels = (figure.title, figure.x_label, "normalised return (interquartile mean)")
         stem = target / "results-figures" / figure.name
-        if figure.x_label:
-            labels = (figure.title, figure.x_label, "normalised return (interquartile mean)")
-            files += plot_curves(figure.panels, figure.ticks, labels, stem)
-        else:
-            files += plot_bars(figure.panels, figure.ticks, (figure.title, "normalised return"), stem)
+        files += plot_scores(figure.panels, figure.ticks, labels, stem)
     findings = folder / "findings.md"
     found = findings.read_text("utf-8") if findings.exists() else ""
     write_text(target / "results.md", pages.results_page(few, off, found, (few_scores, off_scores)))
@@ -261,6 +251,38 @@ def read_results(folder: Path) -> tuple[list[Line], list[Line]]:
     if not few and not off:
         raise BenchmarkError(f"{folder} has no results: `imujoco benchmark few-shot` computes some")
     return few, off
+
+
+def _holding_out(variants: Sequence[str], splits: Sequence[HeldOut]) -> list[HeldOut]:
+    """Return the splits that hold variants out, with each variant in the first split that does.
+
+    Raises:
+        BenchmarkError: if no split holds one of them out.
+    """
+    found, left = [], list(dict.fromkeys(variants))
+    for split in splits:
+        held = tuple(variant for variant in left if variant in split.test)
+        left = [variant for variant in left if variant not in held]
+        if held:
+            found.append(replace(split, test=held))
+    if left:
+        raise BenchmarkError(f"{left[0]} is held out in none of {', '.join(split.name for split in splits)}")
+    return found
+
+
+def _state(grid: FewShotGrid | OfflineGrid, jobs: int, *, dry_run: bool, as_json: bool) -> None:
+    """State how long the cells of a grid take.
+
+    Raises:
+        typer.Exit: if it is a dry run.
+    """
+    cells, seconds = grid.cells(), grid.seconds() / jobs
+    if dry_run and as_json:
+        print_json({"cells": cells, "seconds": seconds})
+    else:
+        say(f"{counted(cells, 'cell')}: about {time_text(seconds)} with --jobs {jobs}")
+    if dry_run:
+        raise typer.Exit
 
 
 def _say_changed(lines: Sequence[Line]) -> None:

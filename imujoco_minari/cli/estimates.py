@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from imujoco_minari.cli.printing import counted
-from imujoco_minari.errors import ImujocoError
+from imujoco_minari.errors import DatasetError, ImujocoError, clipped
 from imujoco_minari.policies import expert_record
 from imujoco_minari.policies.tiers import MEDIUM_REPLAY
 from imujoco_minari.storage import minari_root
@@ -123,19 +123,36 @@ class PlannedExport:
 
 
 def plan_export(dataset_ids: Sequence[str], *, archive: bool) -> PlannedExport:
-    """Return what an export of published datasets would write; ``archive`` means the original's layout."""
-    from imujoco_minari.storage.metadata import read_metadata
+    """Return what an export of published datasets would write; ``archive`` means the original's layout.
 
+    Raises:
+        DatasetError: if a dataset does not state its numbers of episodes and steps.
+    """
     episodes = steps = size = 0
     for dataset_id in dataset_ids:
-        stated = read_metadata(minari_root.dataset_folder(dataset_id) / "data")
-        episodes, steps = episodes + stated.get("total_episodes", 0), steps + stated.get("total_steps", 0)
+        own_episodes, own_steps = _stated_counts(dataset_id)
+        episodes, steps = episodes + own_episodes, steps + own_steps
         if archive:
             observation, action = specification(parse_dataset_id(dataset_id)[0].robot).sizes
             # Two observations, the action, the reward and two flags, all as float64.
-            size += BYTES_PER_ZIP + 8 * (2 * observation + action + 3) * stated.get("total_steps", 0)
+            size += BYTES_PER_ZIP + 8 * (2 * observation + action + 3) * own_steps
     seconds = SECONDS_TO_START + SECONDS_PER_TABLE_STEP * steps + SECONDS_PER_ZIP * len(dataset_ids)
     return PlannedExport(len(dataset_ids), episodes, steps, size, seconds if archive else 0.0)
+
+
+def _stated_counts(dataset_id: str) -> tuple[int, int]:
+    """Return the numbers of episodes and steps that a dataset states."""
+    from imujoco_minari.storage.metadata import read_metadata
+
+    stated = read_metadata(minari_root.dataset_folder(dataset_id) / "data")
+    for key in ("total_episodes", "total_steps"):
+        count = stated.get(key)
+        if not isinstance(count, int) or not 0 <= count < 2**53:
+            raise DatasetError(
+                f"{dataset_id}: {key} in metadata.json is {clipped(repr(count))}, which is no count; "
+                f"see `imujoco verify {dataset_id}`"
+            )
+    return stated["total_episodes"], stated["total_steps"]
 
 
 def training_line(variants: Iterable[Variant], policies: Path | None, jobs: int, *, improve: bool) -> str:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from imujoco_minari.cli.app import advancing, app
+from imujoco_minari.cli.app import app
 from imujoco_minari.cli.options import AsJson, Category, DatasetIds, Episodes, Jobs, Output, Robot, Seed
 from imujoco_minari.cli.printing import counted, out, print_json, progress, say
 from imujoco_minari.cli.selection import counted_variants
-from imujoco_minari.errors import VariantError
+from imujoco_minari.errors import TransferError, VariantError
+
+if TYPE_CHECKING:
+    from imujoco_minari.policies import Policy
 
 
 @app.command()
@@ -73,28 +76,20 @@ def transfer(
     """
     from imujoco_minari.pictures.plotting.style import new_figure
     from imujoco_minari.pictures.plotting.transfer import plot_transfer
-    from imujoco_minari.policies import read_actor
-    from imujoco_minari.policies.transfer import (
-        Transfer,
-        columns,
-        evaluate_cells,
-        expert_policies,
-        write_csv,
-    )
+    from imujoco_minari.policies.transfer import columns, evaluate_transfer, expert_policies, write_csv
 
     if robot is None:
         raise VariantError("name the robot with --robot")
     variants = columns(robot, category)
-    chosen = (
-        {path.stem: read_actor(path) for path in policies} if policies else expert_policies(robot, category)
-    )
+    chosen = _read_policies(policies) if policies else expert_policies(robot, category)
     # Report a missing matplotlib before the work, not after it.
     new_figure(1.0, 1.0, "")
     target = output or Path(f"transfer-{robot}")
     state = target / "transfer.json"
-    cells = evaluate_cells(chosen, variants, state, episodes=episodes, seed=seed, jobs=jobs)
-    shown = advancing(cells, "evaluating", len(chosen) * len(variants), quiet=as_json)
-    result = Transfer(tuple(chosen), tuple(variants), dict(shown))
+    with progress("evaluating", len(chosen) * len(variants), quiet=as_json) as advance:
+        result = evaluate_transfer(
+            chosen, variants, state, episodes=episodes, seed=seed, jobs=jobs, on_cell=advance
+        )
     write_csv(result, target / "transfer.csv")
     files = [target / "transfer.csv", *plot_transfer(result, target / "transfer")]
     if as_json:
@@ -112,3 +107,20 @@ def transfer(
         f"{counted(episodes, 'episode')} each",
         f"wrote {', '.join(str(file) for file in files)}",
     )
+
+
+def _read_policies(paths: list[Path]) -> dict[str, Policy]:
+    """Return the policies of files by the names of the files.
+
+    Raises:
+        TransferError: if two files have the same name, whatever their folders and endings.
+    """
+    from imujoco_minari.policies import read_actor
+
+    files: dict[str, Path] = {}
+    for path in paths:
+        if files.setdefault(path.stem, path) != path:
+            raise TransferError(
+                f"{files[path.stem]} and {path} have the same name, {path.stem}: rename one of the files"
+            )
+    return {name: read_actor(path) for name, path in files.items()}

@@ -38,8 +38,11 @@ def render(
     ] = False,
     sheet: Annotated[bool, typer.Option("--sheet", help="Make a .png sheet of frames.")] = False,
     tier: Annotated[
-        str, typer.Option("--tier", "-t", metavar="TIER", help="The policy that moves a variant.")
-    ] = EXPERT,
+        str | None,
+        typer.Option(
+            "--tier", "-t", metavar="TIER", help="The policy that moves a variant. [default: expert]"
+        ),
+    ] = None,
     policy: PolicyFile = None,
     seconds: Seconds = None,
     size: Annotated[
@@ -70,10 +73,14 @@ def render(
     if target.exists() and not force:
         raise StorageError(f"{target} is already there; it was left alone (--force replaces it)")
     if "/" in what:
+        if tier is not None or policy is not None:
+            raise RenderingError(f"{what} is a dataset: it is replayed, so leave out --tier and --policy")
         motions = of_dataset(what, episode, beside_base=beside_base, seconds=seconds)
     else:
         variant = Variant.parse(what)
-        motions = of_variant(variant, tier, policy, seed=episode, beside_base=beside_base, seconds=seconds)
+        motions = of_variant(
+            variant, tier or EXPERT, policy, seed=episode, beside_base=beside_base, seconds=seconds
+        )
     for motion in motions:
         if motion.divergence > 0:
             say(

@@ -20,8 +20,10 @@ from imujoco_minari.envs.registration import environment_spec
 from imujoco_minari.envs.robots import VariantEnv
 from imujoco_minari.errors import DrawingError, VariantError, suggestion
 from imujoco_minari.variants import Variant, adopt_page
+from imujoco_minari.variants.changes import plain_number
 from imujoco_minari.variants.context import changed_parameters, check_parameters, context
 from imujoco_minari.variants.original import OriginalVariant
+from imujoco_minari.variants.robots import forget_on_error
 
 Array = NDArray[Any]
 
@@ -148,6 +150,7 @@ class CollectionEnv(DrawingEnv, EzPickle):
         (15,)
     """
 
+    @forget_on_error()
     def __init__(
         self,
         variants: Sequence[str] = (),
@@ -208,7 +211,7 @@ class CollectionEnv(DrawingEnv, EzPickle):
         """Return the probability of each variant."""
         for name, weight in weights.items():
             self._check(name)
-            if not (isinstance(weight, int | float) and 0 <= weight < float("inf")):
+            if not (isinstance(plain_number(weight), int | float) and 0 <= weight < float("inf")):
                 raise DrawingError(f"the weight of {name} is {weight!r}; valid: a number, at least 0")
         values = np.array([weights.get(name, 1.0) for name in self.variants], dtype=np.float64)
         if not values.any():

@@ -24,10 +24,12 @@ from imujoco_minari.envs.untrusted_mjcf import check_mjcf
 from imujoco_minari.errors import ModelError
 from imujoco_minari.variants import Variant, carried_page, specification
 from imujoco_minari.variants.original import OriginalVariant
+from imujoco_minari.variants.robots import follows_page
 
 Floats = NDArray[np.float64]
 
 
+@follows_page
 @lru_cache(maxsize=256)
 def canonical_mjcf(variant: Variant | str) -> str:
     """Return the canonical MJCF text of a variant. Compiling it gives the edited model to the last bit.
@@ -88,6 +90,7 @@ def healthy_z_range(variant: Variant) -> tuple[float, float] | None:
     return base[0] + shift, base[1] + shift
 
 
+@follows_page
 @lru_cache(maxsize=256)
 def root_shift(variant: Variant) -> float:
     """Return the height (m) of the root of ``variant`` above the base robot's."""
@@ -156,6 +159,7 @@ class _Edited(NamedTuple):
     root_shift: float
 
 
+@follows_page
 @lru_cache(maxsize=4)
 def _edited(variant: Variant) -> _Edited:
     """Apply the changes of a variant to its robot's model, in their order, and stand it on the floor."""

@@ -13,6 +13,7 @@ from imujoco_minari.errors import VariantError
 from imujoco_minari.variants import Variant, adopt_page
 from imujoco_minari.variants.context import check_parameters, context
 from imujoco_minari.variants.ranges import UNIFORM, Ranges
+from imujoco_minari.variants.robots import forget_on_error
 
 
 class RandomisedEnv(DrawingEnv, EzPickle):
@@ -40,6 +41,7 @@ class RandomisedEnv(DrawingEnv, EzPickle):
         DrawingError: if there is no range, or a range or the distribution is not valid.
     """
 
+    @forget_on_error()
     def __init__(
         self,
         robot: str,

@@ -14,20 +14,21 @@ from typing import Any
 import gymnasium as gym
 from gymnasium.envs.registration import EnvSpec, registry
 
-from imujoco_minari.errors import ImujocoError, VariantError
+from imujoco_minari.errors import VariantError
 from imujoco_minari.variants import (
     BASE,
     NAMESPACE,
     Variant,
     carried_page,
     catalogue,
-    forget_page,
+    held_out_names,
     known_robots,
     load_pages,
     specification,
 )
 from imujoco_minari.variants.original import ORIGINAL, OriginalVariant
 from imujoco_minari.variants.ranges import RANDOMISED, UNIFORM, Ranges
+from imujoco_minari.variants.robots import forget_on_error
 
 MAX_EPISODE_STEPS = 1000
 
@@ -241,16 +242,12 @@ def load_catalogue(path: str | Path) -> tuple[str, ...]:
     """
     from imujoco_minari.envs.mjcf import check_robot
 
-    before = known_robots()
-    try:
+    with forget_on_error():
         names = load_pages(path)
         for robot in names:
             check_robot(robot)
+            held_out_names(robot)
             make(f"{robot}-{BASE}").close()
-    except ImujocoError:
-        for robot in set(known_robots()) - set(before):
-            forget_page(robot)
-        raise
     for robot in names:
         _register_robot(robot)
     return names

@@ -29,6 +29,7 @@ from imujoco_minari.envs.untrusted_mjcf import check_mjcf
 from imujoco_minari.errors import CatalogueError, VariantError
 from imujoco_minari.variants import Variant, adopt_page, specification
 from imujoco_minari.variants.original import OriginalVariant
+from imujoco_minari.variants.robots import forget_on_error
 
 Array = NDArray[Any]
 
@@ -60,6 +61,7 @@ class VariantEnv(MujocoEnv, EzPickle):
         CatalogueError: when the page is wrong, or does not agree with the robot's environment.
     """
 
+    @forget_on_error()
     def __init__(
         self, variant: str, mjcf: str | None = None, page: Mapping[str, str] | None = None, **kwargs: Any
     ) -> None:
@@ -103,7 +105,7 @@ class VariantEnv(MujocoEnv, EzPickle):
         found = {
             "observation_size": float(np.prod(self.observation_space.shape or ())),
             "action_size": float(self.model.nu),
-            "action_bound": float(np.abs(self.model.actuator_ctrlrange).max()),
+            "action_bound": float(np.abs(self.model.actuator_ctrlrange).max(initial=0.0)),
             "steps_per_second": 1 / float(self.dt),
         }
         for key, value in found.items():

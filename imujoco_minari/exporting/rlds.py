@@ -70,7 +70,7 @@ def _episode(episode: Trajectory, origin: Origin, number: int, states_only: bool
         features["steps/reward"] = np.append(episode.rewards, 0.0)
     for name in ATTRIBUTES:
         value = getattr(origin, name)
-        features[f"metadata/{name}"] = value if isinstance(value, str) else np.array([value])
+        features[f"metadata/{name}"] = value if isinstance(value, str) else np.array([float(value)])
     return example(features)
 
 
@@ -103,7 +103,7 @@ def _features(data: Arrays, states_only: bool) -> dict[str, Any]:
     if not states_only:
         step |= {"action": _tensor("float32", data.actions.shape[1]), "reward": number}
     text = {"pythonClassName": f"{_FEATURES}.text_feature.Text", "text": {}}
-    metadata = {name: _tensor("int64") if name == "percent" else text for name in ATTRIBUTES}
+    metadata = {name: number if name == "percent" else text for name in ATTRIBUTES}
     steps = {
         "pythonClassName": f"{_FEATURES}.dataset_feature.Dataset",
         "sequence": {"feature": _dict(step), "length": "-1"},

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import h5py
@@ -174,10 +174,9 @@ def _flat(arrays: Mapping[str, Array], robot: str, name: str) -> Transitions:
     flags = [found[field] for field in ("terminated", "truncated", "ends") if field in found]
     if not flags:
         raise DatasetError(f"{name}: nothing says where episodes end; valid: terminals, timeouts, dones")
-    steps = len(np.atleast_1d(found["observations"]))
-    if any(array.shape != (steps,) for array in flags):
-        raise DatasetError(f"{name}: flags of shapes {[array.shape for array in flags]} for {steps} steps")
-    return Transitions(**(found | {"ends": np.any(flags, axis=0)})).checked(robot, name)
+    steps = Transitions(**({"ends": flags[0]} | found)).checked(robot, name)
+    ends = [array for array in (steps.terminated, steps.truncated, steps.ends) if array is not None]
+    return replace(steps, ends=np.any(ends, axis=0))
 
 
 def _minari(folder: Path, robot: str) -> ExternalData:

@@ -7,12 +7,11 @@ from contextlib import closing
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
-from minari.data_collector import EpisodeBuffer
 
 from imujoco_minari.envs import environment_spec
 from imujoco_minari.errors import DatasetError, ImujocoError
@@ -21,14 +20,18 @@ from imujoco_minari.importing.columns import ARRAY, read_table
 from imujoco_minari.importing.physics import Physics
 from imujoco_minari.importing.safe_unpack import read_npz
 from imujoco_minari.importing.transitions import Cut, cut
-from imujoco_minari.policies import Policy, random_policy, read_actor
+from imujoco_minari.policies import random_policy, read_actor
 from imujoco_minari.policies.evaluation import evaluate
-from imujoco_minari.policies.rollouts import episode_seed, roll_out
-from imujoco_minari.publishing.collector import StorageCollector
-from imujoco_minari.publishing.new_dataset import NewDataset, Published, publish_episodes
+from imujoco_minari.publishing.collector import collect
+from imujoco_minari.publishing.new_dataset import (
+    NewDataset,
+    Published,
+    find_published,
+    publish_episodes,
+    publish_written,
+)
 from imujoco_minari.storage import file_format
 from imujoco_minari.storage.metadata import provenance
-from imujoco_minari.storage.writer import EpisodeStorage
 from imujoco_minari.variants import EXPERT
 from imujoco_minari.variants.original import CATALOGUE, ORIGINAL, REBUILT, RECOLLECTED, OriginalVariant
 
@@ -79,9 +82,12 @@ def import_variant(archive: Archive, variant: OriginalVariant, how: Import) -> P
     Raises:
         ImujocoError: when a file is missing or is not what it must be, or the root cannot be written.
     """
-    member = archive.member(variant, "dataset")
+    member, dataset_id = archive.member(variant, "dataset"), variant.dataset_id(how.tier)
     with member.on_disk() as path:
-        arrays, digest = read_npz(path), file_format.file_sha256(path)
+        origin = {"source": f"dataset/{member.name}", "source_sha256": file_format.file_sha256(path)}
+        if published := find_published(dataset_id, origin, force=how.force):
+            return published
+        arrays = read_npz(path)
     source, mjcf = archive.mjcf(variant)
     if ARRAY not in arrays:
         raise DatasetError(f"{member}: holds no array {ARRAY!r}, but {', '.join(sorted(arrays))[:200]}")
@@ -100,15 +106,14 @@ def import_variant(archive: Archive, variant: OriginalVariant, how: Import) -> P
             **_metadata(variant, spec, "unknown" if rebuilt else "SAC", source),
             "description": " ".join((description, *found.notes)),
             **_reference_maximum(found),
-            "source": f"dataset/{member.name}",
-            "source_sha256": digest,
+            **origin,
             "source_columns": str(layout),
             "source_checks": [str(check) for check in checks],
             "one_step_difference": found.fidelity().asdict(),
         }
         attributes = file_format.attributes(variant, how.tier) | {CATALOGUE: ORIGINAL}
         attributes[file_format.REPLAYABLE] = False
-        dataset = NewDataset(variant.dataset_id(how.tier), attributes, mjcf, metadata)
+        dataset = NewDataset(dataset_id, attributes, mjcf, metadata)
         return publish_episodes(dataset, spec, found.episodes(), force=how.force)
 
 
@@ -118,10 +123,17 @@ def recollect(archive: Archive, variant: OriginalVariant, how: Import) -> Publis
     Raises:
         ImujocoError: when a file is missing or is not what it must be, or the root cannot be written.
     """
-    source, mjcf = archive.mjcf(variant)
-    member = archive.member(variant, "policies")
+    member, dataset_id = archive.member(variant, "policies"), variant.dataset_id(how.tier)
     with member.on_disk() as path:
-        policy, digest = read_actor(path).for_robot(variant.robot), file_format.file_sha256(path)
+        origin = {
+            "source": f"policies/{member.name}",
+            "source_sha256": file_format.file_sha256(path),
+            "seed": how.seed,
+        }
+        if published := find_published(dataset_id, origin, force=how.force):
+            return published
+        policy = read_actor(path).for_robot(variant.robot)
+    source, mjcf = archive.mjcf(variant)
     spec, rebuilt = environment_spec(variant, mjcf), REBUILT in source
     made, model = _origin("policy", variant, rebuilt)
     older = "" if rebuilt else " The original's own episodes were made with gym's v3 environments."
@@ -132,38 +144,17 @@ def recollect(archive: Archive, variant: OriginalVariant, how: Import) -> Publis
     metadata = {
         **_metadata(variant, spec, policy.algorithm, source),
         "description": description,
-        "source": f"policies/{member.name}",
-        "source_sha256": digest,
+        **origin,
         "policy_sha256": policy.sha256,
         "policy_deterministic": policy.deterministic,
-        "seed": how.seed,
     }
     attributes = file_format.attributes(variant, how.tier) | {CATALOGUE: ORIGINAL}
-    dataset = NewDataset(variant.dataset_id(how.tier), attributes, mjcf, metadata)
-    return publish_episodes(dataset, spec, _rollouts(spec, policy, how), force=how.force)
+    dataset = NewDataset(dataset_id, attributes, mjcf, metadata)
 
+    def write(data: Path) -> None:
+        collect(spec, policy, range(how.episodes), how.seed, data, lambda seed: attributes)
 
-class _LastEpisode:
-    """A storage that keeps the last episode that a collector recorded."""
-
-    data_path = Path()
-    episode: EpisodeBuffer
-
-    def __init__(self, env: gym.Env[Any, Any]) -> None:
-        self.observation_space, self.action_space = env.observation_space, env.action_space
-
-    def update_episodes(self, episodes: Iterable[EpisodeBuffer]) -> None:
-        """Keep an episode in place of the one before."""
-        (self.episode,) = episodes
-
-
-def _rollouts(spec: EnvSpec, policy: Policy, how: Import) -> Iterator[EpisodeBuffer]:
-    env = gym.make(spec)
-    last = _LastEpisode(env)
-    with closing(StorageCollector(env, cast(EpisodeStorage, last))) as collector:
-        for number in range(how.episodes):
-            roll_out(collector, policy, episode_seed(how.seed, number))
-            yield last.episode
+    return publish_written(dataset, write, force=how.force)
 
 
 def _origin(what: str, variant: OriginalVariant, rebuilt: bool) -> tuple[str, str]:

@@ -71,9 +71,9 @@ class Transitions:
             ("actions", "actions", (rows, action), np.float32),
             ("rewards", "rewards", (rows,), np.float64),
             ("next_observations", "next observations", (rows, observation), np.float64),
-            ("ends", "ends", (rows,), bool),
             ("terminated", "terminations", (rows,), bool),
             ("truncated", "truncations", (rows,), bool),
+            ("ends", "ends", (rows,), bool),
         ):
             array = getattr(self, field)
             if array is None:
@@ -82,6 +82,8 @@ class Transitions:
                 raise DatasetError(f"{name}: {what} are of shape {array.shape}; {robot} needs {shape}")
             if not np.isfinite(array).all():
                 raise DatasetError(f"{name}: {what} hold values that are not finite")
+            if dtype is bool and not np.isin(array, (0, 1)).all():
+                raise DatasetError(f"{name}: {what} hold other numbers than 0 and 1")
             cast[field] = array.astype(dtype)
         largest = np.abs(self.actions).max()
         if largest > 1.0 + 1e-6:
@@ -203,8 +205,10 @@ def cut(transitions: Transitions, physics: Physics) -> Cut:
     simulate_final = transitions.next_observations is None or _shows_resets(transitions, bounds)
     (start, stop), cut_off = bounds[-1], not transitions.ends[-1]
     notes = {
-        f"{len(unmarked)} episodes end at a reset that the source does not mark.": len(unmarked),
-        f"{limited} episodes end by the limit of {MAX_EPISODE_STEPS} steps, unmarked in the source.": limited,
+        f"Episodes that end at a reset that the source does not mark: {len(unmarked)}.": len(unmarked),
+        f"Episodes that end by the limit of {MAX_EPISODE_STEPS} steps, unmarked in the source: {limited}.": (
+            limited
+        ),
         "The last episode is cut where the source ends.": cut_off and stop - start < MAX_EPISODE_STEPS,
         "The source has no observation after an episode's last step: "
         "the final observation of each episode is simulated from the one before it.": simulate_final,

@@ -147,8 +147,12 @@ class Arrays:
             DatasetError: when ``episodes`` is empty, or has a number that no episode has.
             ArgumentError: when ``episodes`` is not a list of whole numbers.
         """
-        numbers = np.asarray(episodes)
-        if numbers.ndim != 1 or not (numbers.dtype.kind in "iu" or not len(numbers)):
+        try:
+            numbers = np.asarray(episodes)
+            valid = numbers.ndim == 1 and (numbers.dtype.kind in "iu" or not len(numbers))
+        except ValueError:
+            valid = False
+        if not valid:
             raise ArgumentError(f"episodes must be a list of whole numbers, not {clipped(repr(episodes))}")
         if not len(numbers) or numbers.min() < 0 or numbers.max() >= self.episodes:
             raise DatasetError(f"select at least one episode; valid: 0 to {self.episodes - 1}")

@@ -18,7 +18,7 @@ from imujoco_minari.errors import ArgumentError, DatasetError, check_one_robot, 
 from imujoco_minari.loading import selection
 from imujoco_minari.loading.episode_arrays import Arrays
 from imujoco_minari.loading.selection import Datasets, EpisodeReference, View
-from imujoco_minari.loading.statistics import Statistics, measure
+from imujoco_minari.loading.statistics import Statistics, floating, measure
 from imujoco_minari.storage.reader import EpisodeFile
 
 Array = NDArray[Any]
@@ -83,9 +83,14 @@ def arrays(
     shape = result.observations.shape[1:]
     if statistics.mean.shape != shape:
         raise DatasetError(f"statistics of {statistics.mean.shape} do not fit observations of {shape}")
-    statistics.normalize_in_place(result.observations)
-    statistics.normalize_in_place(result.next_observations)
-    return replace(result, statistics=statistics)
+    kind = floating(result.observations)
+    observations = result.observations.astype(kind, copy=False)
+    next_observations = result.next_observations.astype(kind, copy=False)
+    statistics.normalize_in_place(observations)
+    statistics.normalize_in_place(next_observations)
+    return replace(
+        result, observations=observations, next_observations=next_observations, statistics=statistics
+    )
 
 
 def _floating(dtype: DTypeLike) -> np.dtype[Any]:

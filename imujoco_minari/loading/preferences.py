@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from imujoco_minari.errors import ArgumentError, DatasetError, clipped, suggestion, whole_number
+from imujoco_minari.errors import ArgumentError, DatasetError, as_path, clipped, suggestion, whole_number
 from imujoco_minari.loading.batches import Windows, gather_windows, window_starts
 from imujoco_minari.loading.episode_arrays import Arrays
 from imujoco_minari.storage.targets import new_target
@@ -48,7 +49,7 @@ class Preferences:
         columns = {"preferred": self.preferred, "scores": self.scores}
         for side, windows in (("first", self.first), ("second", self.second)):
             columns |= {f"{side}_{name}": array for name, array in windows._asdict().items()}
-        with new_target(Path(path), force=force) as staged, staged.open("wb") as file:
+        with new_target(as_path(path), force=force) as staged, staged.open("wb") as file:
             np.savez(file, **columns)  # type: ignore[arg-type]
 
 
@@ -121,8 +122,9 @@ def _draw(candidates: Array, scores: Array, count: int, name: str, rng: np.rando
 
 
 def _returns(data: Arrays, starts: Array, length: int) -> Array:
-    sums = np.concatenate(([0.0], np.cumsum(data.rewards, dtype=np.float64)))
-    returns: Array = sums[starts + length] - sums[starts]
+    # Differences of cumulative sums would round equal segments differently.
+    segments = sliding_window_view(data.rewards.astype(np.float64), length)
+    returns: Array = segments.sum(axis=1)[starts]
     return returns
 
 

@@ -99,7 +99,8 @@ class Sampler:
 
         Args:
             tot_shots: number of episodes.
-            idx: the variant, by its number in ``arrays.table`` or by its id; None draws one.
+            idx: the number of a variant (and tier) in ``arrays.table``, or the id of a variant; None draws a
+                number. If a variant has several tiers, its id draws one of them.
             replace: whether an episode may be drawn twice.
 
         Raises:
@@ -128,7 +129,8 @@ class Sampler:
     def _place(self, idx: int | str) -> int:
         names = [origin.variant for origin in self.arrays.table]
         if isinstance(idx, str) and idx in names:
-            return names.index(idx)
+            # Of several tiers, one is drawn.
+            return int(self._rng.choice([place for place, name in enumerate(names) if name == idx]))
         if isinstance(idx, int | np.integer) and 0 <= idx < len(self):
             return int(idx)
         raise VariantError(

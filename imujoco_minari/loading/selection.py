@@ -76,29 +76,30 @@ def views(datasets: Datasets) -> list[View]:
     """
     if isinstance(datasets, str) or not isinstance(datasets, Iterable) or hasattr(datasets, "storage"):
         datasets = [datasets]
-    found = [_view(dataset) for dataset in datasets]
+    found = [view_of(dataset) for dataset in datasets]
     if not found:
         raise ArgumentError("no dataset was given")
     return found
 
 
-def _view(dataset: Any) -> View:
+def view_of(dataset: Any) -> View:
+    """Return a view for an id or a dataset, as :func:`views` does."""
     if isinstance(dataset, str):
-        return View(dataset, _main_file(dataset, minari_root.dataset_folder(dataset)))
+        return View(dataset, _main_file(dataset, minari_root.dataset_folder(dataset) / "data"))
     if not hasattr(dataset, "storage"):
         raise ArgumentError(f"a dataset is a Minari dataset or its id, not {type(dataset).__name__}")
     if dataset.storage.FORMAT != "hdf5":
         raise DatasetError(f"{dataset.id} is stored as {dataset.storage.FORMAT}; valid: hdf5")
-    file = _main_file(dataset.id, Path(dataset.storage.data_path).parent)
+    file = _main_file(dataset.id, Path(dataset.storage.data_path))
     chosen = tuple(int(number) for number in dataset.episode_indices)
     everything = chosen == tuple(range(dataset.storage.total_episodes))
     return View(dataset.id, file, None if everything else chosen)
 
 
-def _main_file(dataset_id: str, folder: Path) -> Path:
-    if not folder.exists():
+def _main_file(dataset_id: str, data: Path) -> Path:
+    if not data.is_dir():
         raise not_in_root(dataset_id)
-    file = file_format.main_file(folder / "data")
+    file = file_format.main_file(data)
     if not file.is_file():
         raise DatasetError(f"{dataset_id} is not stored as HDF5: it has no {file.name}")
     return file

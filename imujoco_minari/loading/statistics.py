@@ -28,15 +28,15 @@ class Statistics:
     std: Array
 
     def normalize(self, observations: Array) -> Array:
-        """Return ``(observations - mean) / std``, in the dtype of ``observations``."""
-        return ((observations - self.mean) / self.std).astype(observations.dtype, copy=False)
+        """Return ``(observations - mean) / std`` in the dtype of ``observations``, or float64."""
+        return ((observations - self.mean) / self.std).astype(floating(observations), copy=False)
 
     def denormalize(self, observations: Array) -> Array:
-        """Return ``observations * std + mean``, in the dtype of ``observations``."""
-        return (observations * self.std + self.mean).astype(observations.dtype, copy=False)
+        """Return ``observations * std + mean`` in the dtype of ``observations``, or float64."""
+        return (observations * self.std + self.mean).astype(floating(observations), copy=False)
 
     def normalize_in_place(self, observations: Array) -> None:
-        """Normalise an array of observations (N, obs) without a copy of the whole array."""
+        """Normalise an array of floating-point observations (N, obs) without a copy of the whole array."""
         for block in _blocks(observations):
             block[...] = self.normalize(block)
 
@@ -53,6 +53,11 @@ def measure(observations: Array) -> Statistics:
         total += np.square(block - mean).sum(axis=0)
     std = np.sqrt(total / len(observations))
     return Statistics(mean, np.where(std > 0, std, 1.0))
+
+
+def floating(observations: Array) -> np.dtype[Any]:
+    """Return the dtype of normalised observations: integers cannot hold them."""
+    return observations.dtype if observations.dtype.kind == "f" else np.dtype(np.float64)
 
 
 def _blocks(array: Array) -> Iterator[Array]:

@@ -12,13 +12,14 @@ from imujoco_minari.policies import Array, expert_record
 from imujoco_minari.variants import Variant
 
 
-def normalized_score(variant: Variant | str | Sequence[Variant | str], returns: ArrayLike) -> Array:
+def normalized_score(variant: Variant | str | Sequence[Variant | str] | Array, returns: ArrayLike) -> Array:
     """Return normalised scores: 0 for the return of a variant's random policy, 1 for that of its expert.
 
     The references come from the records of the policies, so no dataset is needed.
 
     Args:
-        variant: the variant or its id, or a sequence with one for each return, as a collection needs.
+        variant: the variant or its id, or a sequence or array with one for each return, as a collection
+            needs.
         returns: undiscounted returns, of any shape; of shape (n,) for a sequence of n variants.
 
     Returns:
@@ -36,6 +37,8 @@ def normalized_score(variant: Variant | str | Sequence[Variant | str], returns: 
     values = np.asarray(returns)
     if values.dtype.kind not in "fiu":
         raise ArgumentError(f"returns must be numbers, not {clipped(repr(returns))}")
+    if isinstance(variant, np.ndarray):
+        variant = variant.tolist()
     if isinstance(variant, Variant | str):
         low, high = _references(Variant.parse(variant))
         return np.asarray((values - low) / (high - low))
@@ -44,8 +47,9 @@ def normalized_score(variant: Variant | str | Sequence[Variant | str], returns: 
             "give a variant, or a sequence with one variant for each return; "
             f"the returns have the shape {values.shape}"
         )
-    known = {each: _references(Variant.parse(each)) for each in dict.fromkeys(variant)}
-    lows, highs = np.array([known[each] for each in variant]).reshape(-1, 2).T
+    variants = [Variant.parse(each) for each in variant]
+    known = {each: _references(each) for each in dict.fromkeys(variants)}
+    lows, highs = np.array([known[each] for each in variants]).reshape(-1, 2).T
     return np.asarray((values - lows) / (highs - lows))
 
 

@@ -8,6 +8,7 @@ from typing import Any
 from imujoco_minari.policies import expert_record, random_policy
 from imujoco_minari.policies.evaluation import Evaluation, evaluate
 from imujoco_minari.variants import Variant
+from imujoco_minari.variants.robots import follows_page
 
 EPISODES = 100
 
@@ -31,6 +32,7 @@ def reference_scores(variant: Variant) -> dict[str, Any]:
     return scores
 
 
+@follows_page
 @lru_cache(maxsize=256)
 def random_evaluation(variant: Variant) -> Evaluation:
     """Evaluate the random policy for 100 episodes of a variant."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -110,22 +110,9 @@ def evaluate_transfer(
     episodes: int = 5,
     seed: int = 0,
     jobs: int = 1,
+    on_cell: Callable[[], None] = lambda: None,
 ) -> Transfer:
-    """Evaluate every policy on every variant: :func:`evaluate_cells`, gathered."""
-    cells = evaluate_cells(policies, variants, state, episodes=episodes, seed=seed, jobs=jobs)
-    return Transfer(tuple(policies), tuple(variants), dict(cells))
-
-
-def evaluate_cells(
-    policies: Mapping[str, Policy],
-    variants: Sequence[Variant],
-    state: Path,
-    *,
-    episodes: int = 5,
-    seed: int = 0,
-    jobs: int = 1,
-) -> Iterator[tuple[tuple[str, Variant], Evaluation]]:
-    """Evaluate every policy on every variant and yield each pair with its evaluation when it is ready.
+    """Evaluate every policy on every variant.
 
     Args:
         policies: maps names to policies.
@@ -134,6 +121,7 @@ def evaluate_cells(
         episodes: number of episodes per pair of policy and variant.
         seed: base seed of the episodes, the same for every pair.
         jobs: number of processes.
+        on_cell: called when the evaluation of a pair is ready.
 
     Raises:
         PolicyError: if a policy does not fit the robot.
@@ -146,11 +134,12 @@ def evaluate_cells(
         for variant in variants
     ]
     known = _read_state(state)
-    missing = []
+    cells, missing = {}, []
     for cell in wanted:
         row = known.get(cell.policy_name, {}).get(str(cell.variant), {})
         if row.get("key") == cell.key():
-            yield (cell.policy_name, cell.variant), _evaluation(cell, row)
+            cells[cell.policy_name, cell.variant] = _evaluation(cell, row)
+            on_cell()
         else:
             missing.append(cell)
     for number, result in run_jobs(_evaluate_cell, missing, jobs=jobs):
@@ -164,7 +153,9 @@ def evaluate_cells(
         }
         known.setdefault(cell.policy_name, {})[str(cell.variant)] = row
         write_text(state, json.dumps({"format": FORMAT, "cells": known}) + "\n")
-        yield (cell.policy_name, cell.variant), result
+        cells[cell.policy_name, cell.variant] = result
+        on_cell()
+    return Transfer(tuple(policies), tuple(variants), cells)
 
 
 def write_csv(transfer: Transfer, path: Path) -> None:

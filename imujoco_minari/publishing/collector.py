@@ -13,17 +13,16 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from minari import DataCollector
 from minari.data_collector import EpisodeBuffer
 from numpy.typing import NDArray
 
-from imujoco_minari.envs.registration import environment_spec, randomised_spec
 from imujoco_minari.policies import LANES, Policy
 from imujoco_minari.policies.adapters import batch_act, checked
 from imujoco_minari.policies.rollouts import episode_seed, roll_out_together
 from imujoco_minari.storage.quiet_file import safe_point
 from imujoco_minari.storage.writer import EpisodeStorage, new_storage
-from imujoco_minari.variants import Ranges, Variant
 
 # Seed of an episode -> its attributes.
 Attributes = Callable[[int], Mapping[str, Any]]
@@ -126,7 +125,7 @@ def _warn_if_outside(space: gym.Space[Any], rows: NDArray[Any], name: str) -> No
 
 
 def collect(
-    variant: Variant | Ranges,
+    spec: EnvSpec,
     policy: Policy,
     episodes: Iterable[int],
     seed: int,
@@ -137,7 +136,7 @@ def collect(
     """Record episodes of a dataset as a Minari storage in a new folder.
 
     Args:
-        variant: the variant to step, or the ranges from which each episode draws one.
+        spec: specification of the environment to step.
         policy: chooses the actions.
         episodes: numbers of the episodes in the dataset. Each number seeds its episode.
         seed: base seed of the dataset.
@@ -146,7 +145,6 @@ def collect(
         on_episode: called after each episode.
     """
     seeds = [episode_seed(seed, episode) for episode in episodes]
-    spec = randomised_spec(variant) if isinstance(variant, Ranges) else environment_spec(variant)
     envs = [gym.make(spec) for _ in range(min(LANES, len(seeds)))]
     ordered = OrderedStorage(new_storage(target, envs[0], {}), attributes)
     collectors = [StorageCollector(env, ordered) for env in envs]

@@ -10,12 +10,10 @@ import os
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
 from os.path import relpath
 from pathlib import Path
 from typing import Any
 
-import h5py
 from gymnasium.envs.registration import EnvSpec
 from minari import MinariDataset
 from minari.dataset.minari_storage import MinariStorage
@@ -31,21 +29,6 @@ from imujoco_minari.variants.named_collections import NamedCollection
 from imujoco_minari.variants.original import CATALOGUE, ORIGINAL, names_variant, variant_of
 from imujoco_minari.verification.child_process import survives
 from imujoco_minari.verification.findings import plain
-
-
-@dataclass(frozen=True)
-class _WrittenEpisodes:
-    """A summary of the episodes that were written.
-
-    Attributes:
-        attributes: the identifying attributes of each episode.
-        steps: number of steps of all episodes.
-        stated: the entries of the metadata that describe the content.
-    """
-
-    attributes: list[dict[str, Any]]
-    steps: int
-    stated: dict[str, Any]
 
 
 def combine_datasets(
@@ -104,14 +87,11 @@ def combine_datasets(
                 observation_space=sources[0].observation_space,
                 action_space=sources[0].action_space,
             )
-            if link:
-                if force:
-                    files = [source.file for source in sources]
-                    copying.check_replaced(new_dataset_id, file_format.main_file(folder / "data"), files)
-                written = _link_sources(sources, data, folder / "data")
-            else:
-                written = _copy_sources(sources, data)
-        complete_metadata(data, _collection_metadata(sources, new_dataset_id, written))
+            if link and force:
+                files = [source.file for source in sources]
+                copying.check_replaced(new_dataset_id, file_format.main_file(folder / "data"), files)
+            attributes, stated = _write_episodes(sources, data, folder / "data" if link else None)
+        complete_metadata(data, _collection_metadata(sources, new_dataset_id, attributes) | stated)
         try:
             transactions.commit(staged, new_dataset_id, replace=force)
         except DatasetExistsError:
@@ -160,60 +140,52 @@ def _check_file(source: Source) -> None:
         raise DatasetError(f"{source.dataset_id} cannot be combined: {finding}")
 
 
-def _copy_sources(sources: Sequence[Source], data: Path) -> _WrittenEpisodes:
-    """Copy the episodes of all sources into the new file."""
+def _write_episodes(
+    sources: Sequence[Source], data: Path, linked_from: Path | None
+) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """Copy or link the episodes of all sources into the new file.
+
+    Args:
+        sources: the sources.
+        data: the new ``data`` folder.
+        linked_from: the final place of that folder, from which links lead to the sources; None to copy.
+
+    Returns:
+        The identifying attributes of each episode, and the entries of the metadata that describe them.
+    """
     attributes: list[dict[str, Any]] = []
-    steps, digests = 0, list[str]()
+    content: list[Any] = []
+    steps, link = 0, linked_from is not None
     with writing(file_format.main_file(data), new=True) as target:
-        for source in _check_files(sources):
+        # Linking reads next to nothing of a file, so a damaged one does no harm.
+        for source in sources if link else _check_files(sources):
             with source.opened() as file:
                 attributes += source.attributes(file)
-                copied = copying.copy_episodes(file, source.episodes, target, source.dataset_id)
-                steps += copied.steps
-                digests += copied.digests
-        stated = _shared_attributes(attributes) | {"content_sha256": file_format.dataset_sha256(digests)}
-        target.attrs.update(stated)
-    return _WrittenEpisodes(attributes, steps, stated)
-
-
-def _link_sources(sources: Sequence[Source], data: Path, linked_from: Path) -> _WrittenEpisodes:
-    """Write links to the episodes of all sources into a file whose final folder is ``linked_from``."""
-    attributes: list[dict[str, Any]] = []
-    steps, linked = 0, list[list[Any]]()
-    with writing(file_format.main_file(data), new=True) as target:
-        for source in sources:
-            with source.opened() as file:
-                attributes += source.attributes(file)
-                copying.link_episodes(file, source.episodes, target, relpath(source.file, linked_from))
-                steps += _count_steps(source, file)
-                linked.append([len(source.episodes), source.digest(file)])
-        stated = _shared_attributes(attributes)
-        target.attrs.update(stated)
-    return _WrittenEpisodes(attributes, steps, stated | {file_format.LINKED: linked})
-
-
-def _count_steps(source: Source, file: h5py.File) -> int:
-    """Return the number of steps of a source; from its metadata if all its episodes are used."""
-    if source.whole:
-        return int(source.metadata["total_steps"])
-    return sum(int(file[file_format.episode_name(number)].attrs["total_steps"]) for number in source.episodes)
+                if linked_from is None:
+                    copying.copy_episodes(file, source.episodes, target, source.dataset_id)
+                else:
+                    copying.link_episodes(file, source.episodes, target, relpath(source.file, linked_from))
+                content += source.content(file, link=link)
+                steps += source.steps(file)
+        shared, digest = _shared_attributes(attributes), file_format.collection_digest(content, link=link)
+        target.attrs.update(shared if link else shared | digest)
+    return attributes, shared | digest | {"total_steps": steps}
 
 
 def _shared_attributes(attributes: list[dict[str, Any]]) -> dict[str, Any]:
     """Return the identifying attributes that all episodes share."""
     first = attributes[0]
     return {
-        key: first[key]
+        key: plain(first[key])
         for key in file_format.IDENTITY
         if key in first and all(attrs is first or attrs.get(key) == first[key] for attrs in attributes)
     }
 
 
 def _collection_metadata(
-    sources: Sequence[Source], dataset_id: str, written: _WrittenEpisodes
+    sources: Sequence[Source], dataset_id: str, attributes: list[dict[str, Any]]
 ) -> dict[str, Any]:
-    """Return the collection's metadata."""
-    attributes = written.attributes
+    """Return the collection's metadata, without those that describe its episodes."""
     spec = _collection_env_spec(sources, dataset_id, attributes)
     originals = spec is not None and bool(stored_models(spec.kwargs))
     _check_id(dataset_id, attributes, originals)
@@ -229,10 +201,8 @@ def _collection_metadata(
         "dataset_id": dataset_id,
         "combined_datasets": [source.dataset_id for source in sources],
         "total_episodes": len(attributes),
-        "total_steps": written.steps,
         **({CATALOGUE: ORIGINAL} if originals else {}),
         **({} if spec is None else {"env_spec": spec.to_json()}),
-        **{key: plain(value) for key, value in written.stated.items()},
     }
 
 

@@ -138,29 +138,34 @@ def find_published(dataset_id: str, asked: Mapping[str, Any], *, force: bool) ->
         force: replace what exists: the answer is None.
 
     Raises:
-        DatasetExistsError: if the dataset with this id differs from the requested one.
+        DatasetExistsError: if the dataset with this id differs from the requested one, or is a collection.
+        DatasetError: if it is not a complete dataset of this package.
     """
     if force or not transactions.taken(dataset_id):
         return None
+    found = _read_outcome(dataset_id, created=False)
     stated = read_metadata(minari_root.dataset_folder(dataset_id) / "data")
-    differing = {key: value for key, value in asked.items() if stated.get(key, value) != value}
+    differing = {key: value for key, value in asked.items() if stated.get(key) != value}
     if differing:
-        has = ", ".join(_format_value(key, stated[key]) for key in differing)
+        has = ", ".join(_format_value(key, stated.get(key)) for key in differing)
         wanted = ", ".join(_format_value(key, value) for key, value in differing.items())
         raise DatasetExistsError(
             f"{dataset_id} is already published, but differs: it has {has}; you asked for {wanted}. "
             "Replace it with --force (force=True), or choose another tier"
         )
-    return _read_outcome(dataset_id, created=False)
+    return found
 
 
 def _format_value(key: str, value: Any) -> str:
-    """Return a value of the metadata as text for a message."""
+    """Return a value of the metadata, None if it states none, as text for a message."""
+    name = key.removesuffix("_sha256")
+    if value is None:
+        return f"no {name}"
     if key == "total_episodes":
         return f"{value} episodes"
     if key == "policy_deterministic":
         return "deterministic actions" if value else "sampled actions"
-    return f"{key.removesuffix('_sha256')} {clipped(value)}"
+    return f"{name} {clipped(value)}"
 
 
 def _check_and_commit(staged: Path, dataset: NewDataset, force: bool) -> bool:

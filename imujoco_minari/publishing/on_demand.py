@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from minari import MinariDataset
@@ -12,6 +12,7 @@ from rich.progress import Progress
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError, VariantError
 from imujoco_minari.policies.tiers import RECORDED
 from imujoco_minari.publishing.combiner import combine_datasets
+from imujoco_minari.publishing.new_dataset import Published
 from imujoco_minari.publishing.publisher import publish_all, publish_recipe
 from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.storage import minari_root
@@ -65,7 +66,7 @@ def _recipe(dataset_id: str) -> Recipe:
         variant, tier = parse_dataset_id(dataset_id)
     except VariantError:
         raise not_in_root(dataset_id) from None
-    if variant.dataset_id(tier) != dataset_id or tier in RECORDED:
+    if tier in RECORDED:
         raise not_in_root(dataset_id)
     return Recipe(variant, tier)
 
@@ -86,22 +87,15 @@ def _publish_missing(collection: NamedCollection, jobs: int, quiet: bool) -> Non
         for variant in collection.variants
         if not minari_root.exists(variant.dataset_id(collection.tier))
     ]
-    failures: list[str] = []
-    missing = True
+    failed: Published | None = None
     with _progress(collection.dataset_id, "datasets", len(recipes), quiet) as advance:
         for outcome in publish_all(recipes, jobs=jobs):
-            if outcome.error:
-                failures.append(f"{outcome.dataset_id}: {outcome.error}")
-                missing &= outcome.missing
+            if outcome.error and failed is None:
+                failed = outcome
             advance()
-    if failures:
-        kind = DatasetNotFoundError if missing else DatasetError
-        raise kind(f"{collection.dataset_id} was not made; {_first_of(failures)}")
-
-
-def _first_of(failures: Sequence[str]) -> str:
-    more = f" (and {len(failures) - 1} more datasets failed)" if len(failures) > 1 else ""
-    return failures[0] + more
+    if failed is not None:
+        kind = DatasetNotFoundError if failed.missing else DatasetError
+        raise kind(f"{collection.dataset_id} was not made; {failed.dataset_id}: {failed.error}")
 
 
 @contextmanager

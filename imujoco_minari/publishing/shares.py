@@ -13,6 +13,7 @@ import h5py
 import numpy as np
 from minari.dataset.minari_storage import MinariStorage
 
+from imujoco_minari.envs.registration import environment_spec, randomised_spec
 from imujoco_minari.errors import JobError
 from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies.tiers import TierPart
@@ -20,6 +21,7 @@ from imujoco_minari.publishing.collector import collect
 from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.storage import copying, file_format
 from imujoco_minari.storage.quiet_file import writing
+from imujoco_minari.variants import Ranges
 
 OnEpisode = Callable[[], None]
 
@@ -75,13 +77,13 @@ def _divide(made_by: Sequence[TierPart], data: Path, jobs: int) -> Iterator[_Sha
 def _record_share(recipe: Recipe, share: _Share, on_episode: OnEpisode = lambda: None) -> None:
     """Record a share, after removing what a lost worker left in its folder."""
     shutil.rmtree(share.folder, ignore_errors=True)
+    variant = recipe.variant
+    spec = randomised_spec(variant) if isinstance(variant, Ranges) else environment_spec(variant)
 
     def attributes(seed: int) -> dict[str, Any]:
         return recipe.episode_attributes(seed) | dict(share.part.attributes)
 
-    collect(
-        recipe.variant, share.part.policy, share.episodes, recipe.seed, share.folder, attributes, on_episode
-    )
+    collect(spec, share.part.policy, share.episodes, recipe.seed, share.folder, attributes, on_episode)
 
 
 def _join_shares(folders: Sequence[Path], data: Path) -> None:
@@ -95,7 +97,8 @@ def _join_shares(folders: Sequence[Path], data: Path) -> None:
     with writing(file_format.main_file(first)) as target:
         for other in others:
             with h5py.File(file_format.main_file(other), "r") as source:
-                steps += copying.copy_episodes(source, range(len(source)), target, "").steps
+                copying.copy_episodes(source, range(len(source)), target, "")
+            steps += MinariStorage.read(other).total_steps
             shutil.rmtree(other)
         episodes = len(target)
     storage.update_metadata({"total_episodes": episodes, "total_steps": steps})

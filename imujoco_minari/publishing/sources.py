@@ -14,10 +14,10 @@ from gymnasium.envs.registration import EnvSpec
 from minari import MinariDataset
 from minari.serialization import deserialize_space
 
-from imujoco_minari.errors import ArgumentError, DatasetError, DatasetNotFoundError, check_one_robot
+from imujoco_minari.errors import DatasetError, check_one_robot
+from imujoco_minari.loading.selection import view_of
 from imujoco_minari.storage import copying, file_format, minari_root
 from imujoco_minari.storage.metadata import read_metadata
-from imujoco_minari.storage.missing import not_in_root
 from imujoco_minari.verification.findings import same
 
 
@@ -83,15 +83,25 @@ class Source:
         """Return the error for a source that another process deleted."""
         return DatasetError(f"{self.dataset_id} was deleted while it was read: nothing was combined")
 
-    def digest(self, file: h5py.File) -> str:
+    def steps(self, file: h5py.File) -> int:
+        """Return the number of steps of its episodes; from its metadata if all of them are used."""
+        if self.whole:
+            return int(self.metadata["total_steps"])
+        groups = (file[file_format.episode_name(number)] for number in self.episodes)
+        return sum(int(group.attrs["total_steps"]) for group in groups)
+
+    def content(self, file: h5py.File, *, link: bool) -> list[Any]:
+        """Return what the digest of a collection covers of this source: see ``collection_digest``."""
+        if link:
+            return [[len(self.episodes), self._digest(file)]]
+        return [copying.episode_digest(file, number) for number in self.episodes]
+
+    def _digest(self, file: h5py.File) -> str:
         """Return the digest of its episodes; from its metadata if all of them are used."""
         if self.whole and "content_sha256" in self.metadata:
             return str(self.metadata["content_sha256"])
-        digests = (
-            file[file_format.episode_name(number)].attrs.get(file_format.DIGEST, "")
-            for number in self.episodes
-        )
-        return file_format.dataset_sha256(map(str, digests))
+        groups = (file[file_format.episode_name(number)] for number in self.episodes)
+        return file_format.dataset_sha256(str(group.attrs.get(file_format.DIGEST, "")) for group in groups)
 
     def attributes(self, file: h5py.File) -> list[dict[str, Any]]:
         """Return the identifying attributes of each episode."""
@@ -109,43 +119,27 @@ def open_source(dataset: MinariDataset | str) -> Source:
         DatasetError: if the dataset is not HDF5, its metadata is malformed, or loading it would run code
             that its metadata names.
     """
-    if isinstance(dataset, str):
-        dataset_id, data = dataset, minari_root.dataset_folder(dataset) / "data"
-        if not data.is_dir():
-            raise not_in_root(dataset)
-        chosen = None
-    elif isinstance(dataset, MinariDataset):
-        if dataset.storage.FORMAT != "hdf5":
-            raise DatasetError(f"{dataset.id} is stored as {dataset.storage.FORMAT}; valid: hdf5")
-        dataset_id, data = dataset.id, Path(dataset.storage.data_path)
-        chosen = [int(index) for index in dataset.episode_indices]
-    else:
-        raise ArgumentError(f"a source must be a Minari dataset or its id, not {type(dataset).__name__}")
-    try:
-        folder = minari_root.folder_identity(data)
-    except OSError:
-        raise DatasetNotFoundError(f"{dataset_id} was deleted: {data} does not exist") from None
-    metadata = read_metadata(data)
-    if metadata.get("data_format", "hdf5") != "hdf5":
-        raise DatasetError(f"{dataset_id} is stored as {metadata['data_format']}; valid: hdf5")
-    spaces = [_read_space(dataset_id, metadata, key) for key in ("observation_space", "action_space")]
+    view = view_of(dataset)
+    data = view.file.parent
+    folder, metadata = minari_root.folder_identity(data), read_metadata(data)
+    spaces = [_read_space(view.dataset_id, metadata, key) for key in ("observation_space", "action_space")]
     total = metadata.get("total_episodes")
     if not isinstance(total, int):
         raise DatasetError(
-            f"{dataset_id} does not state its number of episodes; see `imujoco verify {dataset_id}`"
+            f"{view.dataset_id} does not state its number of episodes; see `imujoco verify {view.dataset_id}`"
         )
     for key in ("author", "requirements"):
         if not isinstance(metadata.get(key) or [], list):
-            raise DatasetError(f"{dataset_id} cannot be combined: its {key} is not a list of texts")
+            raise DatasetError(f"{view.dataset_id} cannot be combined: its {key} is not a list of texts")
     return Source(
-        dataset_id=dataset_id,
+        dataset_id=view.dataset_id,
         data=data,
         folder=folder,
         metadata=metadata,
-        episodes=range(total) if chosen is None else chosen,
+        episodes=range(total) if view.episodes is None else view.episodes,
         observation_space=spaces[0],
         action_space=spaces[1],
-        env_spec=_read_env_spec(dataset_id, metadata),
+        env_spec=_read_env_spec(view.dataset_id, metadata),
     )
 
 

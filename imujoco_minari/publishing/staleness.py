@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from pathlib import Path
-
-import h5py
+from collections.abc import Sequence
+from typing import Any
 
 from imujoco_minari.errors import DatasetError, DatasetExistsError
 from imujoco_minari.publishing.sources import Source
@@ -52,18 +50,23 @@ def check_current(dataset_id: str, sources: Sequence[Source], *, link: bool) -> 
     if episodes != metadata.get("total_episodes"):
         had = metadata.get("total_episodes")
         raise _differs(dataset_id, f"is stale: it has {had} episodes, and its sources have {episodes} now")
+    now: list[Any] = []
     try:
-        now = [(len(source.episodes), _digest(source, link=link)) for source in sources]
-        then = metadata[file_format.LINKED] if linked else list(_parts(data, [count for count, _ in now]))
+        for source in sources:
+            with source.opened() as file:
+                now += source.content(file, link=link)
     except (KeyError, ValueError, TypeError, RuntimeError, OSError) as error:
         if isinstance(error, DatasetError):
             raise
         raise DatasetError(f"{dataset_id} cannot be compared with its sources: {str(error)[:200]}") from None
-    changed = [name for name, old, new in zip(ids, then, now, strict=True) if tuple(old) != new]
-    if changed:
-        raise _differs(
-            dataset_id, f"is stale: {len(changed)} of its {len(ids)} sources have changed: {_listed(changed)}"
-        )
+    if not file_format.collection_digest(now, link=link).items() <= metadata.items():
+        then = metadata[file_format.LINKED] if link else None
+        # A copy states one digest for all sources.
+        changed = isinstance(then, list) and [
+            name for name, new in zip(ids, now, strict=True) if new not in then
+        ]
+        which = f": {_listed(changed)}" if changed else ""
+        raise _differs(dataset_id, f"is stale: its sources have changed{which}")
 
 
 def _differs(dataset_id: str, how: str) -> DatasetExistsError:
@@ -73,28 +76,3 @@ def _differs(dataset_id: str, how: str) -> DatasetExistsError:
 def _listed(names: Sequence[str]) -> str:
     more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
     return ", ".join(names[:_SHOWN]) + more
-
-
-def _digest(source: Source, *, link: bool) -> str:
-    """Return the digest that the source's episodes have in a collection."""
-    with source.opened() as file:
-        if link or "content_sha256" in source.metadata:
-            return source.digest(file)
-        # A copy of episodes that another package published gets their digests.
-        groups = (file[file_format.episode_name(number)] for number in source.episodes)
-        return file_format.dataset_sha256(
-            file_format.episode_sha256(file_format.array_digests(group)) for group in groups
-        )
-
-
-def _parts(data: Path, counts: Sequence[int]) -> Iterator[tuple[int, str]]:
-    """Yield the number and the digest of the episodes that a copied collection holds of each source."""
-    with h5py.File(file_format.main_file(data), "r") as file:
-        start = 0
-        for count in counts:
-            names = map(file_format.episode_name, range(start, start + count))
-            yield (
-                count,
-                file_format.dataset_sha256(str(file[name].attrs[file_format.DIGEST]) for name in names),
-            )
-            start += count

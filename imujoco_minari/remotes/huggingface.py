@@ -19,6 +19,7 @@ from minari.storage.remotes.huggingface import HuggingFaceStorage
 
 from imujoco_minari.errors import RemoteError
 from imujoco_minari.remotes.stores import CARD, FILES, namespace_file, parse_object, registered_ids
+from imujoco_minari.storage.file_format import file_sha256
 from imujoco_minari.storage.minari_root import dataset_folder
 from imujoco_minari.storage.transactions import NAMESPACE_FILE
 
@@ -65,8 +66,8 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
         repository, folder = self._decompose_path(dataset_id)
         files = {f"{folder}/{name}": dataset_folder(dataset_id) / name for name in FILES}
         stated = self._api.get_paths_info(self._repo_id(repository), list(files), repo_type="dataset")
-        digests = {entry.path: entry.lfs.sha256 if entry.lfs else entry.blob_id for entry in stated}
-        return all(digests.get(path) in _possible_digests(file) for path, file in files.items())
+        entries = {entry.path: entry for entry in stated}
+        return all(path in entries and _is_equal(file, entries[path]) for path, file in files.items())
 
     def upload_dataset(self, dataset_id: str, card: str | None = None) -> None:
         """Upload a dataset's files and card and register its id, in one commit."""
@@ -144,8 +145,10 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
         return f"{self.name}/{repository}"
 
 
-def _possible_digests(file: Path) -> tuple[str, str]:
-    """Return the two digests that the Hub may state: SHA-256 for a large file, else the git blob id."""
-    data = file.read_bytes()
-    blob = hashlib.sha1(b"blob %d\0" % len(data) + data, usedforsecurity=False)
-    return hashlib.sha256(data).hexdigest(), blob.hexdigest()
+def _is_equal(file: Path, entry: Any) -> bool:
+    """Compare a file with the Hub's entry, which states SHA-256 for a large file, else the git blob id."""
+    if entry.lfs:
+        return bool(file_sha256(file) == entry.lfs.sha256)
+    blob = hashlib.sha1(b"blob %d\0" % file.stat().st_size, usedforsecurity=False)
+    with file.open("rb") as stream:
+        return bool(hashlib.file_digest(stream, lambda: blob).hexdigest() == entry.blob_id)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import h5py
 import numpy as np
@@ -23,14 +23,7 @@ from imujoco_minari.storage.writer import read_text, write_attribute
 _DIGEST = file_format.DIGEST.encode()
 
 
-class Copied(NamedTuple):
-    """The number of steps of the copied episodes, and the digest of each episode."""
-
-    steps: int
-    digests: list[str]
-
-
-def copy_episodes(source: h5py.File, episodes: Sequence[int], target: h5py.File, origin: str) -> Copied:
+def copy_episodes(source: h5py.File, episodes: Sequence[int], target: h5py.File, origin: str) -> None:
     """Append episodes to a file, with all their attributes. Episodes without digests get them.
 
     Args:
@@ -40,27 +33,30 @@ def copy_episodes(source: h5py.File, episodes: Sequence[int], target: h5py.File,
         origin: the ``source`` attribute of episodes that have none, a dataset id.
 
     Raises:
-        KeyError: if an episode or its number of steps is missing.
+        KeyError: if an episode is missing.
         DatasetError: if an episode takes values from elsewhere than a dataset of the Minari root.
     """
-    steps, digests, data = 0, [], Path(os.fsdecode(source.filename)).parent
+    data = Path(os.fsdecode(source.filename)).parent
     for place, number in enumerate(episodes, start=len(target)):
         safe_point()
         containment.check_episode(source, number, data)
         name = file_format.episode_name(place)
         h5o.copy(source.id, file_format.episode_name(number).encode(), target.id, name.encode())
         group = h5g.open(target.id, name.encode())
-        count = np.empty((), np.int64)
-        h5a.open(group, b"total_steps").read(count)
-        steps += int(count)
         h5a.open(group, b"id").write(np.array(place))
         if not h5a.exists(group, b"source"):
             write_attribute(group, "source", origin)
         if not h5a.exists(group, _DIGEST):
             # This package did not publish its dataset.
             file_format.seal_episode(target[name])
-        digests.append(read_text(group, file_format.DIGEST))
-    return Copied(steps, digests)
+
+
+def episode_digest(file: h5py.File, number: int) -> str:
+    """Return the digest that a copy of an episode has: the stored one, or the one that it would get."""
+    group = h5g.open(file.id, file_format.episode_name(number).encode())
+    if h5a.exists(group, _DIGEST):
+        return read_text(group, file_format.DIGEST)
+    return file_format.episode_sha256(file_format.array_digests(h5py.Group(group)))
 
 
 def link_episodes(source: h5py.File, episodes: Sequence[int], target: h5py.File, path: str) -> None:

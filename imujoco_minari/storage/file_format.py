@@ -132,6 +132,16 @@ def stated_digest(metadata: Mapping[str, Any]) -> Any:
     return metadata.get("content_sha256") or metadata.get(LINKED)
 
 
+def collection_digest(content: Sequence[Any], *, link: bool) -> dict[str, Any]:
+    """Return the metadata entry that states the digest of a collection's episodes.
+
+    Args:
+        content: the digest of each episode, or of each source of a linked collection as under ``LINKED``.
+        link: whether it is a linked collection.
+    """
+    return {LINKED: content} if link else {"content_sha256": dataset_sha256(content)}
+
+
 def content_sha256(file: h5py.File, episodes: int) -> str:
     """Return the digest of a dataset from the stored digests of its episodes, in order.
 

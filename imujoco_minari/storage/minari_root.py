@@ -45,6 +45,9 @@ def dataset_folder(dataset_id: str) -> Path:
             f"malformed dataset id {str(dataset_id)[:80]!r}; "
             "valid: <namespace>/<name>-v<version>, as in imujoco/hopper-all-v0"
         )
+    if len(dataset_id.rpartition("/")[0]) < 2:
+        # Minari cannot parse such an id, and then lists no dataset at all.
+        raise DatasetIdError(f"malformed dataset id {dataset_id!r}: a namespace has at least two characters")
     if "data" in dataset_id.split("/"):
         # Minari reads every folder that contains a "data" as a dataset and does not look inside it.
         raise DatasetIdError(f"malformed dataset id {dataset_id!r}: a namespace cannot be named 'data'")

@@ -34,8 +34,6 @@ def making(dataset_id: str) -> str:
         variant, tier = parse_dataset_id(dataset_id)
     except VariantError:
         return ""
-    if variant.dataset_id(tier) != dataset_id:
-        return ""
     if tier == "replay":
         return f"imujoco train {variant} --record-replay"
     return f"imujoco publish {variant}{_option(tier)}"

@@ -6,7 +6,6 @@ module uses h5py's low-level interface, which takes a third of the time and make
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -62,7 +61,7 @@ class EpisodeFile:
 
     def episode_attributes(self, episode: int, names: Sequence[str]) -> dict[str, Any]:
         """Return the attributes among ``names`` that an episode has."""
-        attributes = h5py.AttributeManager(h5py.Group(self._open_group(episode)[0]))
+        attributes = h5py.AttributeManager(h5py.Group(self._open_group(episode)))
         return {name: attributes[name] for name in names if name in attributes}
 
     def layout(self, episode: int, name: str) -> tuple[tuple[int, ...], np.dtype[Any]]:
@@ -71,7 +70,7 @@ class EpisodeFile:
         Raises:
             DatasetError: if there is no such array, for example if observations are a dictionary.
         """
-        stored = self._open_array(self._open_group(episode)[0], name, episode)
+        stored = self._open_array(self._open_group(episode), name, episode)
         return stored.shape, stored.dtype
 
     def length(self, episode: int) -> int:
@@ -80,7 +79,7 @@ class EpisodeFile:
         Raises:
             DatasetError: if its rewards are not an array with one row for each step.
         """
-        shape = self._open_array(self._open_group(episode)[0], "rewards", episode).shape
+        shape = self._open_array(self._open_group(episode), "rewards", episode).shape
         if not shape:
             raise DatasetError(f"{self.name}: episode {episode}: rewards are not an array")
         return int(shape[0])
@@ -95,11 +94,9 @@ class EpisodeFile:
         Raises:
             DatasetError: if an array is missing, has another shape, or cannot be converted to the dtype.
         """
-        group, descriptor = self._open_group(episode)
+        group = self._open_group(episode)
         for name, out in targets.items():
             stored = self._open_array(group, name, episode)
-            if self._read_directly(stored, descriptor, out):
-                continue
             if stored.shape != out.shape:
                 raise DatasetError(
                     f"{self.name}: episode {episode}: {name} have shape {stored.shape}, not {out.shape}"
@@ -111,22 +108,13 @@ class EpisodeFile:
                     f"{self.name}: episode {episode}: {name} cannot be read as {out.dtype}: {error}"
                 ) from None
 
-    def _read_directly(self, stored: h5py.h5d.DatasetID, descriptor: int, out: Array) -> bool:
-        """Read a contiguous array of the same dtype directly from the file; return False if it is not one."""
-        offset = stored.get_offset()
-        if offset is None or stored.get_storage_size() != out.nbytes:
-            return False
-        if not self._hdf5_type(out.dtype).equal(stored.get_type()):
-            return False
-        return os.preadv(descriptor, [out.data], offset) == out.nbytes
-
     def _hdf5_type(self, dtype: np.dtype[Any]) -> h5py.h5t.TypeID:
         if dtype not in self._types:
             self._types[dtype] = h5py.h5t.py_create(dtype, logical=True)
         return self._types[dtype]
 
-    def _open_group(self, episode: int) -> tuple[h5py.h5g.GroupID, int]:
-        """Return an episode's group, following a link, and the descriptor of the file that contains it."""
+    def _open_group(self, episode: int) -> h5py.h5g.GroupID:
+        """Return an episode's group, following a link."""
         name = file_format.episode_name(episode).encode()
         try:
             # If HDF5 followed the link, it would open and close the other file for every episode.
@@ -138,7 +126,7 @@ class EpisodeFile:
         except (KeyError, ValueError):
             raise DatasetError(f"{self.name}: episode {episode} is not a group of {file.filename}") from None
         containment.check_links(group, f"{self.name}: episode {episode}: ")
-        return group, file.id.get_vfd_handle()
+        return group
 
     def _open_file(self, path: Path) -> h5py.File:
         if path not in self._files:

@@ -35,11 +35,12 @@ def new_target(target: Path, *, force: bool = False) -> Iterator[Path]:
 
     Raises:
         DatasetExistsError: if ``target`` exists, and ``force`` is false or ``target`` has no mark.
-        StorageError: if ``target`` cannot be written.
+        StorageError: if ``target`` cannot be written, or is a folder that the file system cannot replace in
+            one step.
     """
-    if target.exists() and not force:
-        raise DatasetExistsError(f"{target} already exists; it was not changed (--force replaces it)")
     try:
+        if target.exists() and not force:
+            raise DatasetExistsError(f"{target} already exists; it was not changed (--force replaces it)")
         if target.exists() and not _is_marked(target):
             raise DatasetExistsError(
                 f"{target} was not replaced: it is not an export of imujoco, or it has other files too; "
@@ -103,11 +104,7 @@ def _move_into_place(new: Path, target: Path) -> None:
     if not target.exists() or not (target.is_dir() or new.is_dir()):
         new.replace(target)
     elif not exchange(new, target):
-        # Without an exchange of folders, the old one is moved back if the rename of the new one fails.
-        old = new.with_name(".old")
-        target.rename(old)
-        try:
-            new.rename(target)
-        except BaseException:
-            old.rename(target)
-            raise
+        # A kill between two renames would lose both folders.
+        raise StorageError(
+            f"{target} was not replaced: its file system cannot replace a folder in one step; delete it first"
+        )

@@ -7,7 +7,6 @@ process from one in use. docs/promises.md says what users may rely on.
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import shutil
@@ -18,7 +17,6 @@ from pathlib import Path
 
 from imujoco_minari.errors import DatasetExistsError
 from imujoco_minari.storage.atomic import (
-    UNSUPPORTED,
     exchange,
     rename_new,
     sync_folder,
@@ -209,7 +207,7 @@ def remove(dataset_id: str) -> None:
         sync_folder(folder.parent)
 
 
-def make_namespace(namespace: str, description: str = "") -> None:
+def make_namespace(namespace: str) -> None:
     """Make a Minari namespace and its parents. Existing namespaces are not changed.
 
     Minari's own ``create_namespace`` writes the file in place, so another process may read half of it.
@@ -222,17 +220,8 @@ def make_namespace(namespace: str, description: str = "") -> None:
         if (folder / NAMESPACE_FILE).exists():
             continue
         with staging() as temporary:
-            file = temporary / NAMESPACE_FILE
-            write_synced_json(file, {"description": description} if description else {})
-            try:
-                # A link fails if another process has just written the file. A rename would overwrite it.
-                (folder / NAMESPACE_FILE).hardlink_to(file)
-            except FileExistsError:
-                pass
-            except OSError as error:
-                if error.errno not in {*UNSUPPORTED, errno.EPERM}:
-                    raise
-                file.rename(folder / NAMESPACE_FILE)
+            write_synced_json(temporary / NAMESPACE_FILE, {})
+            (temporary / NAMESPACE_FILE).rename(folder / NAMESPACE_FILE)
 
 
 def _replace_in_two_steps(staged: Path, target: Path, dataset_id: str) -> None:

@@ -40,8 +40,8 @@ from imujoco_minari.variants import BASE, Variant
 
 # Base seeds of the three kinds of evaluations. They differ from the default seed of datasets, 0.
 RANKING_SEED, CHOOSING_SEED, CONFIRMING_SEED = 1_000_001, 1_000_002, 1_000_003
-# A second evaluation follows when the mean reaches this share of the best score.
-_SECOND_EVALUATION_SHARE = 0.98
+# A second evaluation follows unless the mean is below the best score by more than this share of it.
+_SECOND_EVALUATION_MARGIN = 0.02
 
 
 @dataclass
@@ -213,9 +213,9 @@ class Run:
         arrays = actor_arrays(self._agent)
         ranked = self._evaluate(arrays, settings.ranking_episodes, RANKING_SEED)
         save_arrays(self.folder / "ladder" / f"{progress.steps}.safetensors", arrays)
-        if ranked["return_mean"] >= _SECOND_EVALUATION_SHARE * progress.best_score and (
-            better := self._better_evaluation(arrays)
-        ):
+        # Not a multiple of the best score, which may be negative.
+        needed = progress.best_score - _SECOND_EVALUATION_MARGIN * abs(progress.best_score)
+        if ranked["return_mean"] >= needed and (better := self._better_evaluation(arrays)):
             progress.best, progress.best_steps = better, progress.steps
             save_arrays(self.folder / "best.safetensors", arrays)
             if self.task.variant.category == BASE:

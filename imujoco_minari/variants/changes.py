@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+import numpy as np
+
 from imujoco_minari.errors import VariantError, clipped, suggestion
 from imujoco_minari.variants.pages import Listing
 from imujoco_minari.variants.robots import specification
@@ -38,6 +40,7 @@ class Change:
     body: str
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "percent", plain_number(self.percent))
         if (
             isinstance(self.percent, bool)
             or not isinstance(self.percent, int | float)
@@ -114,6 +117,11 @@ class Change:
             raise VariantError(
                 f"the range of {fixed[0]} can only shrink, not grow by {self.percent} %; valid: -99 to 0"
             )
+
+
+def plain_number(number: float) -> float:
+    """Return a number of NumPy as Python's, and any other value as it is."""
+    return number.item() if isinstance(number, np.generic) else number
 
 
 def listing_of(robot: str, category: str) -> Listing:

@@ -15,13 +15,19 @@ from typing import Any, ClassVar
 from imujoco_minari.errors import VariantError, clipped, suggestion
 from imujoco_minari.variants.changes import CHANGE_ID, GRAMMAR, Change, listing_of
 from imujoco_minari.variants.pages import CATEGORIES
-from imujoco_minari.variants.robots import ROBOTS, adopt_page, carried_page, known_robots, specification
+from imujoco_minari.variants.robots import (
+    ROBOTS,
+    adopt_page,
+    carried_page,
+    follows_page,
+    known_robots,
+    specification,
+)
 
 NAMESPACE = "imujoco"
 BASE = "base"
 COMPOUND = "compound"
 EXPERT = "expert"
-_DATASET_ID = re.compile(r"(?:(?P<namespace>[-_\w/]+)/)?(?P<name>[-_\w]+)-v(?P<version>[0-9]{1,6})")
 _TIER = re.compile(r"[a-z][a-z0-9_]*(?:-[a-z][a-z0-9_]*)*")
 
 
@@ -205,14 +211,17 @@ def parse_dataset_id(dataset_id: str) -> tuple[Variant, str]:
     Raises:
         VariantError: when it is not of the form ``imujoco/<variant>[-<tier>]-v0``.
     """
-    match = _DATASET_ID.fullmatch(dataset_id)
-    if match is None or match["namespace"] != NAMESPACE:
-        raise VariantError(
-            f"{clipped(dataset_id)!r} is not the dataset id of a variant; "
-            f"valid: {NAMESPACE}/<variant>[-<tier>]-v0, as in {NAMESPACE}/hopper-massdec_25_leggeom-v0"
-        )
-    variant, tier = split_name(match["name"])
-    return Variant.parse(variant), tier or EXPERT
+    near = ""
+    if dataset_id.startswith(f"{NAMESPACE}/") and dataset_id.endswith("-v0"):
+        name, tier = split_name(dataset_id.removeprefix(f"{NAMESPACE}/").removesuffix("-v0"))
+        variant, tier = Variant.parse(name), tier or EXPERT
+        if dataset_id == variant.dataset_id(tier):
+            return variant, tier
+        near = f" (did you mean {variant.dataset_id(tier)!r}?)"
+    raise VariantError(
+        f"{clipped(dataset_id)!r} is not the dataset id of a variant{near}; "
+        f"valid: {NAMESPACE}/<variant>[-<tier>]-v0, as in {NAMESPACE}/hopper-massdec_25_leggeom-v0"
+    )
 
 
 def split_name(name: str) -> tuple[str, str]:
@@ -224,6 +233,7 @@ def split_name(name: str) -> tuple[str, str]:
     return "-".join(words[:end]), "-".join(words[end:])
 
 
+@follows_page
 @cache
 def _listed(robot: str) -> tuple[Variant, ...]:
     """Return the variants that a robot's page lists."""

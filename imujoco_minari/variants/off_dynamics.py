@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from importlib import resources
+from typing import Any
 
-from imujoco_minari.errors import CatalogueError, VariantError, clipped, suggestion
+from imujoco_minari.errors import VariantError, clipped, suggestion
 from imujoco_minari.variants.ids import Variant
-
-_TABLES = frozenset(("tasks", "notes", "not_expressed"))
 
 
 @dataclass(frozen=True)
@@ -48,9 +47,9 @@ def off_dynamics(name: str) -> OffDynamicsTask:
         >>> str(off_dynamics("hopper-friction-0.1").target)
         'hopper-frictiondec_90_feet'
     """
-    pages = _pages()
     robot, _, rest = name.partition("-")
-    for start, reason in pages.get(robot, _RobotTasks()).not_expressed.items():
+    page = _pages().get(robot, {})
+    for start, reason in page.get("not_expressed", {}).items():
         if rest.startswith(start):
             raise VariantError(f"ODRL's task {clipped(name)!r} is no variant: {reason}")
     names = off_dynamics_names()
@@ -60,9 +59,8 @@ def off_dynamics(name: str) -> OffDynamicsTask:
             f"unknown task {shown!r}{suggestion(shown, names)}; "
             f"valid: {names[0]} and {len(names) - 1} others, see off_dynamics_names()"
         )
-    page = pages[robot]
-    notes = [note for start, note in page.notes.items() if rest.startswith(start)]
-    target = Variant.parse(f"{robot}-{page.tasks[rest]}")
+    notes = [note for start, note in page.get("notes", {}).items() if rest.startswith(start)]
+    target = Variant.parse(f"{robot}-{page['tasks'][rest]}")
     return OffDynamicsTask(name, target.base, target, " ".join(notes))
 
 
@@ -85,35 +83,14 @@ def off_dynamics_names(robot: str | None = None) -> tuple[str, ...]:
         raise VariantError(
             f"no task of the robot {shown!r}{suggestion(shown, pages)}; valid: {', '.join(pages)}"
         )
-    return tuple(f"{each}-{task}" for each in pages if robot in (None, each) for task in pages[each].tasks)
-
-
-@dataclass(frozen=True)
-class _RobotTasks:
-    """The tasks of a robot: name -> changes, and beginnings of names -> notes and reasons."""
-
-    tasks: Mapping[str, str] = field(default_factory=dict)
-    notes: Mapping[str, str] = field(default_factory=dict)
-    not_expressed: Mapping[str, str] = field(default_factory=dict)
+    return tuple(f"{each}-{task}" for each in pages if robot in (None, each) for task in pages[each]["tasks"])
 
 
 @cache
-def _pages() -> Mapping[str, _RobotTasks]:
+def _pages() -> Mapping[str, Mapping[str, Any]]:
+    """Return robot -> its tasks (name -> changes), and notes and reasons by the beginnings of names."""
     folder = resources.files("imujoco_minari.env_specs") / "odrl"
     files = sorted(
         (page for page in folder.iterdir() if page.name.endswith(".toml")), key=lambda page: page.name
     )
-    return {page.name.removesuffix(".toml"): _parse(page.read_text("utf-8"), page.name) for page in files}
-
-
-def _parse(text: str, name: str) -> _RobotTasks:
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise CatalogueError(f"{name}: not TOML: {error}") from None
-    for table, entries in data.items():
-        if table not in _TABLES:
-            raise CatalogueError(f"{name}: unknown key {table!r}; valid: {', '.join(sorted(_TABLES))}")
-        if not isinstance(entries, dict) or not all(isinstance(value, str) for value in entries.values()):
-            raise CatalogueError(f"{name}: [{table}] must hold texts")
-    return _RobotTasks(**data)
+    return {page.name.removesuffix(".toml"): tomllib.loads(page.read_text("utf-8")) for page in files}

@@ -7,15 +7,22 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeAlias
 
 from imujoco_minari.errors import CatalogueError, suggestion
 
 # The order of changes in ids, and in which they are applied: a mass before the shape that follows from it.
 CATEGORIES = ("mass", "joint", "length", "friction", "gravity", "gear", "damping", "armature", "size")
+
+# The kinds of single values: the name in messages, and whether a value is of the kind.
+_Kind: TypeAlias = tuple[str, Callable[[Any], bool]]
+_TEXT: _Kind = "text", lambda value: isinstance(value, str)
+_FLAG: _Kind = "true or false", lambda value: isinstance(value, bool)
+_COUNT: _Kind = "a whole number above 0", lambda value: type(value) is int and value > 0
+_SIZE: _Kind = "a number above 0", lambda value: type(value) in (int, float) and 0 < value < float("inf")
 
 _ENVIRONMENT = re.compile(r"[A-Z][A-Za-z0-9]*-v5", re.ASCII)
 
@@ -127,7 +134,7 @@ def parse_specification(text: str, name: str) -> RobotSpecification:
             f"valid: {', '.join(sorted(known))}"
         )
     page = _Page(data, name)
-    environment, model = page.text("environment"), page.text("model")
+    environment, model = page.value("environment", _TEXT), page.value("model", _TEXT)
     if not _ENVIRONMENT.fullmatch(environment):
         raise CatalogueError(
             f"{name}: environment {environment!r} is not the id of a MuJoCo environment of Gymnasium of "
@@ -143,12 +150,12 @@ def parse_specification(text: str, name: str) -> RobotSpecification:
     specification = RobotSpecification(
         environment=environment,
         model=model,
-        listed=page.flag("listed"),
-        observation_size=page.count("observation_size"),
-        observed_positions=page.count("observed_positions"),
-        action_size=page.count("action_size"),
-        action_bound=page.above_zero("action_bound", 1.0),
-        steps_per_second=page.above_zero("steps_per_second"),
+        listed=page.value("listed", _FLAG, False),
+        observation_size=page.value("observation_size", _COUNT),
+        observed_positions=page.value("observed_positions", _COUNT),
+        action_size=page.value("action_size", _COUNT),
+        action_bound=page.value("action_bound", _SIZE, 1.0),
+        steps_per_second=page.value("steps_per_second", _SIZE),
         root_joints=page.names("root_joints"),
         feet=feet,
         healthy_z_range=page.healthy_z_range(),
@@ -177,43 +184,22 @@ class _Page:
     def __init__(self, data: dict[str, Any], name: str) -> None:
         self._data, self._name = data, name
 
-    def text(self, key: str) -> str:
-        value = self._data.get(key)
-        if not isinstance(value, str):
-            raise self._error(f"{key} must be text")
-        return value
-
-    def count(self, key: str) -> int:
-        value = self._data.get(key)
-        if type(value) is not int or value < 1:
-            raise self._error(f"{key} must be a whole number above 0")
-        return value
-
-    def above_zero(self, key: str, default: float = 0.0) -> float:
+    def value(self, key: str, kind: _Kind, default: Any = None) -> Any:
+        name, is_valid = kind
         value = self._data.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < float("inf"):
-            raise self._error(f"{key} must be a number above 0")
-        return value
-
-    def flag(self, key: str) -> bool:
-        value = self._data.get(key, False)
-        if not isinstance(value, bool):
-            raise self._error(f"{key} must be true or false")
+        if not is_valid(value):
+            raise self._error(f"{key} must be {name}")
         return value
 
     def names(self, key: str) -> tuple[str, ...]:
         return self._names(self._data.get(key), key)
 
     def numbers(self, key: str) -> Mapping[str, float]:
-        table = self._data.get(key, {})
-        if not isinstance(table, dict) or not all(type(value) in (int, float) for value in table.values()):
-            raise self._error(f"[{key}] must hold numbers")
+        table = self._table(key, "numbers", int, float)
         return MappingProxyType({item: float(value) for item, value in table.items()})
 
     def tables(self, key: str, item: str) -> Mapping[str, Mapping[str, Any]]:
-        table = self._data.get(key, {})
-        if not isinstance(table, dict) or not all(isinstance(values, dict) for values in table.values()):
-            raise self._error(f"[{key}] must hold one table for each {item}")
+        table = self._table(key, f"one table for each {item}", dict)
         return MappingProxyType({name: MappingProxyType(values) for name, values in table.items()})
 
     def healthy_z_range(self) -> tuple[float, float] | None:
@@ -237,9 +223,7 @@ class _Page:
         return Reward(**reward)
 
     def groups(self) -> Mapping[str, tuple[str, ...]]:
-        table = self._data.get("groups", {})
-        if not isinstance(table, dict):
-            raise self._error("[groups] must hold lists of names, as in legs = [...]")
+        table = self._table("groups", "lists of names, as in legs = [...]", list)
         for name, members in table.items():
             if not re.fullmatch(r"[a-z0-9]+", name):
                 raise self._error(f"[groups] {name!r} must consist of lower-case letters and digits")
@@ -274,6 +258,12 @@ class _Page:
             if name in bodies:
                 raise self._error(f"[groups] {name} is the name of a body too")
         return Listing(tuple(percents), MappingProxyType(bodies), MappingProxyType(own), widen)
+
+    def _table(self, key: str, content: str, *types: type) -> dict[str, Any]:
+        table = self._data.get(key, {})
+        if not isinstance(table, dict) or not all(type(value) in types for value in table.values()):
+            raise self._error(f"[{key}] must hold {content}")
+        return table
 
     def _names(self, value: Any, key: str) -> tuple[str, ...]:
         if not isinstance(value, list) or not value or not all(isinstance(item, str) for item in value):

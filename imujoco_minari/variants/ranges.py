@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from imujoco_minari.errors import DrawingError, VariantError, clipped, suggestion
-from imujoco_minari.variants.changes import Change
+from imujoco_minari.variants.changes import Change, plain_number
 from imujoco_minari.variants.context import check_parameters
 from imujoco_minari.variants.ids import BASE, EXPERT, NAMESPACE, Variant
 from imujoco_minari.variants.pages import CATEGORIES
@@ -32,7 +32,7 @@ class Ranges:
     Attributes:
         robot: the robot, as in ``hopper``.
         ranges: parameter -> lowest and highest percent, in the order of contexts. An argument may be in any
-            order, and may hold lists.
+            order, and may hold lists and arrays.
         distribution: ``uniform`` draws the percent uniformly; ``log-uniform`` draws the logarithm of the
             factor 1 + percent / 100 uniformly.
         name: of a dataset that is collected from the ranges, in its id.
@@ -59,8 +59,7 @@ class Ranges:
             raise DrawingError(
                 f'no ranges are given; valid: parameter -> percents, as in {{"{_EXAMPLE}": (-50, 100)}}'
             )
-        for name in names:
-            _check_range(self.robot, name, self.ranges[name])
+        ordered = {name: _checked_range(self.robot, name, self.ranges[name]) for name in names}
         if self.distribution not in DISTRIBUTIONS:
             near = suggestion(str(self.distribution)[:80], DISTRIBUTIONS)
             raise DrawingError(
@@ -71,7 +70,6 @@ class Ranges:
                 f"the name of the ranges is {clipped(self.name)!r}; valid: a lower-case word, but not "
                 f"{', '.join(_TAKEN)}"
             )
-        ordered = {name: tuple(self.ranges[name]) for name in names}
         object.__setattr__(self, "ranges", ordered)
         # A body and a group that has it cannot both be drawn.
         self.draw(0)
@@ -120,15 +118,21 @@ def _with_page(page: Mapping[str, str] | None, robot: str, *values: Any) -> Rang
     return Ranges(robot, *values)
 
 
-def _check_range(robot: str, name: str, bounds: Sequence[float]) -> None:
-    numbers = isinstance(bounds, Sequence) and [isinstance(bound, int | float) for bound in bounds]
-    if numbers != [True, True] or not bounds[0] <= bounds[1]:
-        raise DrawingError(f"the range of {name} is {bounds!r}; valid: the lowest and the highest percent")
-    for bound in bounds:
+def _checked_range(robot: str, name: str, bounds: Any) -> tuple[float, ...]:
+    """Return the lowest and the highest percent of a parameter."""
+    listed = bounds.tolist() if isinstance(bounds, np.ndarray) else bounds
+    pair = tuple(map(plain_number, listed)) if isinstance(listed, Sequence) else ()
+    numbers = [isinstance(bound, int | float) for bound in pair]
+    if numbers != [True, True] or not pair[0] <= pair[1]:
+        raise DrawingError(
+            f"the range of {name} is {clipped(repr(listed))}; valid: the lowest and the highest percent"
+        )
+    for bound in pair:
         try:
             _change(name, bound).check(robot)
         except VariantError as error:
             raise VariantError(f"the range of {name}: {error}") from None
+    return pair
 
 
 def _change(name: str, percent: float) -> Change:

@@ -7,10 +7,12 @@ to other processes. So a dataset of such a robot works on machines that do not h
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
+from typing import Protocol, TypeVar
 
 from imujoco_minari.errors import CatalogueError, VariantError, as_path, clipped, suggestion
 from imujoco_minari.variants.pages import RobotSpecification, parse_specification
@@ -18,6 +20,13 @@ from imujoco_minari.variants.pages import RobotSpecification, parse_specificatio
 _ROBOT = re.compile(r"[a-z][a-z0-9]{0,39}", re.ASCII)
 # An HDF5 attribute holds at most 64 KiB.
 _MAX_PAGE_CHARACTERS = 48 * 1024
+
+
+class _Cached(Protocol):
+    def cache_clear(self) -> None: ...
+
+
+_CachedT = TypeVar("_CachedT", bound=_Cached)
 
 
 def specification(robot: str) -> RobotSpecification:
@@ -99,9 +108,29 @@ def adopt_page(robot: str, page: Mapping[str, str], name: str = "") -> None:
 
 
 def forget_page(robot: str) -> None:
-    """Make a robot unknown that :func:`adopt_page` made known."""
+    """Make a robot unknown that :func:`adopt_page` made known, and forget what follows from its page."""
     if _CARRIED.pop(robot, None) is not None:
         del _PAGES[robot]
+        for function in _FOLLOWING:
+            function.cache_clear()
+
+
+@contextmanager
+def forget_on_error() -> Iterator[None]:
+    """Make the robots unknown again that became known inside, if what is inside fails."""
+    before = known_robots()
+    try:
+        yield
+    except BaseException:
+        for robot in set(known_robots()) - set(before):
+            forget_page(robot)
+        raise
+
+
+def follows_page(function: _CachedT) -> _CachedT:
+    """Mark a cached function whose results follow from pages: a forgotten page clears its cache."""
+    _FOLLOWING.append(function)
+    return function
 
 
 def carried_page(robot: str) -> Mapping[str, str] | None:
@@ -138,5 +167,7 @@ def _shipped_pages() -> dict[str, RobotSpecification]:
 _PAGES = _shipped_pages()
 # Robot -> the texts of its page, for robots that the package does not ship.
 _CARRIED: dict[str, Mapping[str, str]] = {}
+# The functions whose caches are cleared when a page is forgotten.
+_FOLLOWING: list[_Cached] = []
 # The robots that the catalogue lists. Their variants are the 154.
 ROBOTS = tuple(robot for robot, page in _PAGES.items() if page.listed)

@@ -11,12 +11,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from imujoco_minari.errors import CatalogueError, VariantError, clipped, suggestion
 from imujoco_minari.variants.ids import Variant, catalogue
-from imujoco_minari.variants.robots import ROBOTS, known_robots, specification
+from imujoco_minari.variants.robots import ROBOTS, follows_page, known_robots, specification
 
 _RULES = ("robot", "category", "body", "percent", "variant")
 
@@ -96,27 +95,12 @@ def held_out_names(robot: str | None = None) -> tuple[str, ...]:
     return tuple(_splits(ROBOTS)) if robot is None else tuple(_page_splits(robot))
 
 
-def parse_splits(text: str, name: str) -> Mapping[str, HeldOut]:
-    """Return the splits written in the TOML ``text`` of the file ``name``.
-
-    Raises:
-        CatalogueError: when it is not TOML, or has a key or a value that is not valid.
-    """
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise CatalogueError(f"{name}: not TOML: {error}") from None
-    return MappingProxyType(
-        {title: _split(title, table, f"{name}: [{title}]") for title, table in data.items()}
-    )
-
-
 def _split(title: str, table: Any, where: str) -> HeldOut:
     keys = {"description", "held_out"}
     if not isinstance(table, dict) or set(table) - {"robot"} != keys:
         raise CatalogueError(f"{where} must hold description, held_out and, if within one robot, robot")
     rules = table["held_out"]
-    if not isinstance(rules, list) or not all(isinstance(rule, dict) and rule for rule in rules):
+    if not isinstance(rules, list) or not all(map(_is_rule, rules)):
         raise CatalogueError(f"{where} held_out must be a list of rules, as {{ category = ['friction'] }}")
     variants = catalogue(table.get("robot"))
     held: set[Variant] = set()
@@ -136,6 +120,10 @@ def _split(title: str, table: Any, where: str) -> HeldOut:
     )
 
 
+def _is_rule(rule: Any) -> bool:
+    return isinstance(rule, dict) and bool(rule) and all(isinstance(each, list) for each in rule.values())
+
+
 def _follows(variant: Variant, rule: Mapping[str, Any]) -> bool:
     return all(
         (str(variant) if name == "variant" else getattr(variant, name)) in wanted
@@ -149,16 +137,18 @@ def _splits(within: Iterable[str]) -> dict[str, HeldOut]:
     return {title: split for part in parts for title, split in part.items()}
 
 
+@follows_page
 @cache
 def _page_splits(robot: str) -> Mapping[str, HeldOut]:
     splits = {}
     for name, table in specification(robot).splits.items():
         title = f"{robot}-{name}"
         splits[title] = _split(title, {**table, "robot": robot}, f"{robot}.toml: [splits.{name}]")
-    return MappingProxyType(splits)
+    return splits
 
 
 @cache
 def _shared() -> Mapping[str, HeldOut]:
     file = Path(__file__).with_name("splits.toml")
-    return parse_splits(file.read_text("utf-8"), "splits.toml")
+    tables = tomllib.loads(file.read_text("utf-8"))
+    return {title: _split(title, table, f"splits.toml: [{title}]") for title, table in tables.items()}

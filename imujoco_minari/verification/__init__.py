@@ -16,7 +16,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from imujoco_minari.errors import JobError
+from imujoco_minari.errors import JobError, whole_number
 from imujoco_minari.parallel import run_jobs
 from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.storage.metadata import read_metadata
@@ -65,6 +65,7 @@ def verify(
         DatasetNotFoundError: when the root holds no such dataset.
         NotFoundError: with ``published``, when this version lists no digest of the dataset.
         JobError: when the back end cannot be used.
+        ArgumentError: when ``jobs`` is not a whole number above 0.
 
     Example:
         >>> publish("hopper-base", tier="random", episodes=2).dataset_id
@@ -73,6 +74,7 @@ def verify(
         []
     """
     data = minari_root.dataset_folder(dataset_id) / "data"
+    whole_number(jobs, "jobs", least=1)
     # A missing entry fails before the work.
     wanted = published_entry(dataset_id) if published else None
     findings = Findings()
@@ -88,7 +90,7 @@ def verify(
                 findings.insert(0, differs("metadata.json/dataset_id", stated, f"{dataset_id!r}, its place"))
             if not findings or before == minari_root.folder_identity(data.parent):
                 break
-        except FileNotFoundError:
+        except (FileNotFoundError, NotADirectoryError):
             raise not_in_root(dataset_id) from None
     if wanted is not None:
         findings += compare_with_published(wanted, metadata)

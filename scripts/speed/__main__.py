@@ -20,9 +20,6 @@ def main() -> None:
     """Parse the arguments and run the benchmarks."""
     parser = argparse.ArgumentParser(prog="scripts/bench", description=__doc__)
     parser.add_argument("rows", nargs="*", help=f"rows to run: {', '.join(ROWS)}; default: all except train")
-    parser.add_argument(
-        "--policies", type=Path, help="folder of <robot>.safetensors; default: the shipped experts"
-    )
     parser.add_argument("--rounds", type=int, default=5, help="number of runs of each contender")
     parser.add_argument("--scale", type=float, default=1.0, help="share of the work; 0.1 for a quick try")
     parser.add_argument(
@@ -47,15 +44,11 @@ def main() -> None:
 
 
 def _run_rows(wanted: set[str], options: argparse.Namespace) -> list:
-    from imujoco_minari.policies import policies_folder
     from imujoco_minari.variants import ROBOTS, Variant
     from scripts.speed import collecting, datasets, starting, training
-    from scripts.speed.subjects import publish_copies, saved_actor, stand_in_records
+    from scripts.speed.subjects import publish_copies
 
-    if "train" not in wanted:
-        os.environ["IMUJOCO_HOME"] = str(Path(os.environ["MINARI_DATASETS_PATH"]).with_name("home"))
-        stand_in_records(policies_folder())
-    scale, rounds, policies = options.scale, options.rounds, options.policies
+    scale, rounds = options.scale, options.rounds
     rows = []
 
     def add_rows(*new) -> None:
@@ -75,17 +68,16 @@ def _run_rows(wanted: set[str], options: argparse.Namespace) -> list:
     collected = {}
     if wanted & {"collect", "publish"}:
         for robot in ROBOTS:
-            collected[robot] = collecting.collection_row(robot, policies, rounds, int(20_000 * scale))
+            collected[robot] = collecting.collection_row(robot, rounds, int(20_000 * scale))
             add_rows(collected[robot])
     if wanted & {"jobs", "publish"}:
-        jobs = collecting.jobs_row(policies, max(1, rounds // 2), max(2, int(20 * scale)))
+        jobs = collecting.jobs_row(max(1, rounds // 2), max(2, int(20 * scale)))
         add_rows(jobs)
     if "publish" in wanted:
         scaling = jobs.ratios["times one process"]
-        add_rows(collecting.publishing_row(policies, max(5, int(50 * scale)), scaling, collected))
+        add_rows(collecting.publishing_row(max(5, int(50 * scale)), scaling, collected))
     if wanted & {"combine", "load", "sample"}:
-        with saved_actor("halfcheetah", policies) as (policy, _):
-            ids = publish_copies(Variant.parse("halfcheetah-base"), policy, int(100 * scale), 20)
+        ids = publish_copies(Variant.parse("halfcheetah-base"), int(100 * scale), 20)
         if "combine" in wanted:
             add_rows(datasets.combining_row(ids, rounds))
         if "load" in wanted:
@@ -93,7 +85,7 @@ def _run_rows(wanted: set[str], options: argparse.Namespace) -> list:
         if "sample" in wanted:
             add_rows(*datasets.sampling_rows(ids, rounds))
     if "verify" in wanted:
-        add_rows(collecting.verification_row(policies, rounds, int(200 * scale), collecting.cores()))
+        add_rows(collecting.verification_row(rounds, int(200 * scale), collecting.cores()))
     if "start" in wanted:
         add_rows(*starting.starting_rows(max(3, 2 * rounds)))
     if "train" in wanted:

@@ -18,8 +18,8 @@ import h5py
 import minari
 from minari.dataset.minari_storage import MinariStorage
 
-from imujoco_minari.envs.registration import make
-from imujoco_minari.policies import Actor
+from imujoco_minari.envs.registration import environment_spec, make
+from imujoco_minari.policies import Actor, expert_actor
 from imujoco_minari.policies.rollouts import episode_seed
 from imujoco_minari.policies.sb3 import export_zip
 from imujoco_minari.publishing.collector import collect
@@ -29,18 +29,17 @@ from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.variants import ROBOTS, Variant, catalogue, specification
 from imujoco_minari.verification import verify
 from scripts.speed.measuring import LIMIT, OURS, STOCK, Row, rates, ratio, take_turns
-from scripts.speed.subjects import UNTRAINED, actor_of, saved_actor
 
 # Targets of collecting: the speed relative to the stock collector and to bare stepping.
 TARGETS = {"halfcheetah": (4.0, 0.75), "hopper": (2.2, 0.85), "walker2d": (2.2, 0.85)}
 
 
-def collection_row(robot: str, policies: Path | None, rounds: int, steps: int) -> Row:
+def collection_row(robot: str, rounds: int, steps: int) -> Row:
     """Measure collecting a dataset against the loop of Farama's generation scripts and bare stepping."""
     from stable_baselines3 import SAC
 
-    actor, origin = actor_of(robot, policies)
     variant = Variant.parse(f"{robot}-base")
+    actor = expert_actor(variant)
     with tempfile.TemporaryDirectory() as folder:
         model = SAC.load(export_zip(variant, Path(folder) / "actor.zip", actor), device="cpu")
         length = _collect(variant, actor, 2, Path(folder) / "probe") / 2
@@ -71,13 +70,13 @@ def collection_row(robot: str, policies: Path | None, rounds: int, steps: int) -
             "of bare stepping": ratio(seconds[LIMIT], seconds[OURS]),
         },
         {"times stock": ("least", times_stock), "of bare stepping": ("least", share)},
-        f"{origin}, {total / episodes:.0f} steps per episode; stock is SAC.predict and minari.DataCollector",
+        f"{total / episodes:.0f} steps per episode; stock is SAC.predict and minari.DataCollector",
     )
 
 
 def _collect(variant: Variant, actor: Actor, episodes: int, target: Path) -> int:
     shutil.rmtree(target, ignore_errors=True)
-    collect(variant, actor, range(episodes), 0, target)
+    collect(environment_spec(variant), actor, range(episodes), 0, target)
     return int(MinariStorage.read(target).total_steps)
 
 
@@ -115,30 +114,27 @@ def _bare_stepping_loop(data: Path, env: gym.Env[Any, Any]) -> Callable[[], None
     return run
 
 
-def jobs_row(policies: Path | None, rounds: int, episodes: int) -> Row:
+def jobs_row(rounds: int, episodes: int) -> Row:
     """Measure publishing with two processes against one, and bare stepping with two against one."""
-    with saved_actor("halfcheetah", policies) as (policy, origin):
-        recipes = [
-            Recipe(variant, "bench", episodes, policy=policy) for variant in catalogue("halfcheetah", "mass")
-        ]
+    recipes = [Recipe(variant, episodes=episodes) for variant in catalogue("halfcheetah", "mass")]
 
-        def work(jobs: int) -> None:
-            outcomes = list(publish_all(recipes, jobs=jobs, force=True))
-            assert not any(outcome.error for outcome in outcomes), outcomes
+    def work(jobs: int) -> None:
+        outcomes = list(publish_all(recipes, jobs=jobs, force=True))
+        assert not any(outcome.error for outcome in outcomes), outcomes
 
-        work(1)
-        data = minari_root.dataset_folder(recipes[0].dataset_id) / "data"
-        with _start_bare_processes(data, 1) as bare, _start_bare_processes(data, 2) as bare_twice:
-            seconds = take_turns(
-                {
-                    "one process": lambda: work(1),
-                    "two processes": lambda: work(2),
-                    "bare, one process": bare,
-                    "bare, two processes": bare_twice,
-                },
-                rounds,
-                processes=True,
-            )
+    work(1)
+    data = minari_root.dataset_folder(recipes[0].dataset_id) / "data"
+    with _start_bare_processes(data, 1) as bare, _start_bare_processes(data, 2) as bare_twice:
+        seconds = take_turns(
+            {
+                "one process": lambda: work(1),
+                "two processes": lambda: work(2),
+                "bare, one process": bare,
+                "bare, two processes": bare_twice,
+            },
+            rounds,
+            processes=True,
+        )
     steps = len(recipes) * episodes * 1000
     figures = rates(seconds, steps)
     return Row(
@@ -151,7 +147,7 @@ def jobs_row(policies: Path | None, rounds: int, episodes: int) -> Row:
             * ratio(seconds["bare, one process"], seconds["bare, two processes"]),
         },
         {"times one process": ("least", 1.85)},
-        f"{origin}; the start of the processes, digests and checks are included",
+        "the start of the processes, digests and checks are included",
     )
 
 
@@ -201,12 +197,9 @@ def _start_bare_processes(data: Path, count: int) -> Iterator[Callable[[], None]
             process.communicate()
 
 
-def verification_row(policies: Path | None, rounds: int, episodes: int, cores: int) -> Row:
+def verification_row(rounds: int, episodes: int, cores: int) -> Row:
     """Measure the complete check of a dataset on all cores against bare stepping on all cores."""
-    with saved_actor("halfcheetah", policies) as (policy, origin):
-        published = publish_recipe(
-            Recipe(Variant.parse("halfcheetah-base"), "bench", episodes, policy=policy), force=True
-        )
+    published = publish_recipe(Recipe(Variant.parse("halfcheetah-base"), episodes=episodes), force=True)
 
     def check(jobs: int) -> None:
         assert verify(published.dataset_id, jobs=jobs) == []
@@ -236,15 +229,14 @@ def verification_row(policies: Path | None, rounds: int, episodes: int, cores: i
             "bare stepping, all cores to one": ratio(seconds["bare, one core"], seconds["bare, all cores"]),
         },
         {"of bare stepping, all cores": ("least", 0.8)},
-        f"{origin}; bare stepping on all cores is measured in {cores} processes at once",
+        f"bare stepping on all cores is measured in {cores} processes at once",
     )
 
 
-def publishing_row(policies: Path | None, episodes: int, scaling: float, collections: dict[str, Row]) -> Row:
+def publishing_row(episodes: int, scaling: float, collections: dict[str, Row]) -> Row:
     """Extrapolate publishing the whole catalogue, 154 x 100 episodes, from some variants of each robot.
 
     Args:
-        policies: folder of policies; None for the shipped experts.
         episodes: number of episodes per dataset in the sample.
         scaling: the speed of two processes relative to one.
         collections: maps each robot to its row of collecting.
@@ -252,17 +244,11 @@ def publishing_row(policies: Path | None, episodes: int, scaling: float, collect
     ours = stock = 0.0
     rates = []
     for robot in ROBOTS:
-        origin = actor_of(robot, policies)[1]
-        figures = collections[robot].figures
-        if origin == UNTRAINED:
-            # Its episodes are too short for an estimate of full ones, so the other robots' share is assumed.
-            rate, origin = 0.75 * figures[LIMIT], "estimated at 75 % of bare stepping"
-        else:
-            rate = _measure_publishing_rate(robot, policies, episodes)
+        rate = _measure_publishing_rate(robot, episodes)
         total = len(catalogue(robot)) * 100 * 1000
         ours += total / rate / scaling
-        stock += total / figures[STOCK]
-        rates.append(f"{robot} {rate:,.0f} steps/s ({origin})")
+        stock += total / collections[robot].figures[STOCK]
+        rates.append(f"{robot} {rate:,.0f} steps/s")
     few, many = (_measure_publishing_memory(variants) for variants in (4, 16))
     return Row(
         "publish all 154 x 100 episodes of 1000 steps, two cores",
@@ -275,13 +261,12 @@ def publishing_row(policies: Path | None, episodes: int, scaling: float, collect
     )
 
 
-def _measure_publishing_rate(robot: str, policies: Path | None, episodes: int) -> float:
+def _measure_publishing_rate(robot: str, episodes: int) -> float:
     """Return the rate, in steps per second and process, of publishing some variants of a robot."""
     everything = catalogue(robot)
     chosen = everything[:: len(everything) // 4][:4]
-    with saved_actor(robot, policies) as (policy, _):
-        recipes = [Recipe(variant, "bench", episodes, policy=policy) for variant in chosen]
-        outcomes = [publish_recipe(recipe, force=True) for recipe in recipes]
+    recipes = [Recipe(variant, episodes=episodes) for variant in chosen]
+    outcomes = [publish_recipe(recipe, force=True) for recipe in recipes]
     return sum(outcome.steps for outcome in outcomes) / sum(outcome.seconds for outcome in outcomes)
 
 

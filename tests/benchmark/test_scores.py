@@ -77,7 +77,7 @@ def test_offline_scores_separate_the_base_from_the_variants() -> None:
 
 
 def test_the_page_has_every_method_and_its_files_are_reproducible(tmp_path: Path) -> None:
-    from imujoco_minari.pictures.plotting.scores import plot_bars, plot_curves
+    from imujoco_minari.pictures.plotting.scores import plot_scores
 
     few_scores, off_scores = few_shot_scores(FEW), offline_scores(OFF)
     text = page.results_page(FEW, OFF, "What was found.", (few_scores, off_scores))
@@ -89,11 +89,8 @@ def test_the_page_has_every_method_and_its_files_are_reproducible(tmp_path: Path
     figures = page.few_shot_figures(few_scores) + page.offline_figures(off_scores)
     for figure in figures:
         assert f"results-figures/{figure.name}.svg" in text
-        stem = tmp_path / figure.name
-        if figure.x_label:
-            files = plot_curves(figure.panels, figure.ticks, (figure.title, figure.x_label, "score"), stem)
-        else:
-            files = plot_bars(figure.panels, figure.ticks, (figure.title, "score"), stem)
+        labels = (figure.title, figure.x_label, "score")
+        files = plot_scores(figure.panels, figure.ticks, labels, tmp_path / figure.name)
         svg = files[-1].read_text("utf-8")
         for method in {method for panel in figure.panels.values() for method in panel}:
             assert method in svg

@@ -64,7 +64,7 @@ def test_publish_verify_combine(capsys: pytest.CaptureFixture[str], root: Path) 
         run(["publish", "hopper-frictiondec_50_feet", "-t", "random", "-n", "2", "-s", "1", "--force"]) == 0
     )
     assert run([*combine, "--category", "friction"]) == 1
-    assert "is stale: 1 of its 3 sources" in capsys.readouterr().err
+    assert "is stale: its sources have changed" in capsys.readouterr().err
     assert run([*combine, "--category", "friction", "--force"]) == 0
     capsys.readouterr()
     assert run(["verify", *minari.list_local_datasets()]) == 0
@@ -161,6 +161,23 @@ def test_the_module_runs_as_the_command() -> None:
         [sys.executable, "-m", "imujoco_minari", "--version"], capture_output=True, text=True, check=True
     )
     assert done.stdout.startswith("imujoco-minari ")
+
+
+@pytest.mark.parametrize(
+    ("command", "code", "words"),
+    [
+        ("list --robot hopper >&-", 0, ""),
+        ("show nothing >&- 2>&-", 2, ""),
+        ("delete imujoco/hopper-base-random-v0 <&-", 2, "give --yes in a script"),
+    ],
+)
+def test_a_closed_stream_is_an_empty_one(command: str, code: int, words: str, root: Path) -> None:
+    (root / "imujoco" / "hopper-base-random-v0").mkdir(parents=True)
+    line = f"exec {sys.executable} -m imujoco_minari {command}"
+    done = subprocess.run(["sh", "-c", line], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (code, "")
+    assert words in done.stderr
+    assert "Traceback" not in done.stderr
 
 
 def test_a_log_file_gets_each_line_at_once() -> None:

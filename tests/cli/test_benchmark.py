@@ -9,7 +9,9 @@ import pytest
 from actor_datasets import publish_actors
 
 from imujoco_minari.cli.app import run
+from imujoco_minari.cli.benchmark import _holding_out
 from imujoco_minari.publishing.publisher import publish
+from imujoco_minari.variants import ROBOTS, held_out
 
 CELL = ["-m", "random", "--held-out", "hopper-frictiondec_50_feet", "--seeds", "1"]
 
@@ -35,12 +37,32 @@ def test_a_cell_becomes_a_line_a_table_and_a_page(
     assert "imujoco/hopper-frictiondec_50_feet-v0 has changed (lines: 1)" in capsys.readouterr().err
 
 
-def test_an_estimate_computes_nothing(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert run(["benchmark", "few-shot", "--estimate", "--output", str(tmp_path / "results")]) == 0
+def test_a_dry_run_computes_nothing(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert run(["benchmark", "few-shot", "--dry-run", "--output", str(tmp_path / "results")]) == 0
     assert "14140 cells" in capsys.readouterr().err
-    assert run(["benchmark", "offline", "--estimate"]) == 0
+    assert run(["benchmark", "offline", "--dry-run"]) == 0
     assert "108 cells" in capsys.readouterr().err
+    assert run(["benchmark", "offline", "--dry-run", "--jobs", "2", "--json"]) == 0
+    output = capsys.readouterr()
+    assert (json.loads(output.out)["cells"], output.err) == (108, "")
     assert not (tmp_path / "results").exists()
+
+
+def test_each_held_out_variant_is_in_the_first_split_that_has_it(capsys: pytest.CaptureFixture[str]) -> None:
+    variants = ["hopper-frictiondec_50_feet", "walker2d-frictiondec_50_feet", "hopper-massinc_50_torsogeom"]
+    options = [word for variant in variants for word in ("--held-out", variant)]
+    splits = [held_out(f"{robot}-{kind}-v1") for robot in ROBOTS for kind in ("extremes", "random")]
+    found = [(split.name, split.test) for split in _holding_out(variants, splits)]
+    assert found == [
+        ("hopper-extremes-v1", ("hopper-frictiondec_50_feet",)),
+        ("hopper-random-v1", ("hopper-massinc_50_torsogeom",)),
+        ("walker2d-extremes-v1", ("walker2d-frictiondec_50_feet",)),
+    ]
+    few_shot = ["benchmark", "few-shot", "-m", "random", "--seeds", "1", "--dry-run"]
+    assert run([*few_shot, *options]) == 0
+    assert capsys.readouterr().err.startswith("3 cells")
+    assert run([*few_shot, *options, "--held-out", "hopper-base"]) == 1
+    assert "hopper-base is held out in none of hopper-extremes-v1, " in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -62,7 +84,7 @@ def test_a_mistake_gets_one_line(
 
 
 def test_settings_are_chosen_on_training_variants(capsys: pytest.CaptureFixture[str]) -> None:
-    split = ["--split", "hopper-random-v1", "--validation", "--estimate"]
+    split = ["--split", "hopper-random-v1", "--validation", "--dry-run"]
     assert (
         run(["benchmark", "few-shot", "-m", "scratch", "--seeds", "1", "--setting", "rate=0.01", *split]) == 0
     )

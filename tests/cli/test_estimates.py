@@ -78,6 +78,19 @@ def test_the_whole_catalogue_in_a_line() -> None:
     )
 
 
+@pytest.mark.parametrize("count", ["x", None, -1, 1.5, 10**400])
+def test_a_dataset_that_states_no_count_is_named(
+    count: object, root: Path, small_datasets: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    one, two = small_datasets[:2]
+    path = root / two / "data" / "metadata.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"total_steps": count}))
+    assert run(["export", one, two, "-f", "npz", "--dry-run"]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith(f"error: {two}: total_steps in metadata.json is ")
+    assert error.endswith(f"which is no count; see `imujoco verify {two}`\n")
+
+
 @pytest.mark.usefixtures("unshipped")
 def test_training_counts_what_has_no_expert() -> None:
     assert training_line([LEG], None, 1, improve=False) == "1 expert: about 160 kB and 4 minutes"

@@ -78,7 +78,7 @@ def test_the_observed_context_is_appended_to_the_variants_own_observation() -> N
 
 def test_variants_are_drawn_by_their_weights() -> None:
     rare, common, never = catalogue("hopper", "friction")
-    weights = {str(rare): 0.25, str(never): 0}
+    weights = {str(rare): 0.25, str(never): np.int64(0)}
     env = gym.make("imujoco/hopper-friction-v0", weights=weights)
     drawn = [env.reset(seed=seed)[1]["variant"] for seed in range(500)]
     assert set(drawn) == {str(rare), str(common)}

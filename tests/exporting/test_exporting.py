@@ -16,7 +16,7 @@ from imujoco_minari.cli.app import run
 from imujoco_minari.errors import DatasetError, DatasetExistsError, DependencyError, StorageError
 from imujoco_minari.exporting import FORMATS, default_target, export, lerobot, rlds
 from imujoco_minari.exporting.tfrecord import example, record
-from imujoco_minari.loading import Arrays, arrays
+from imujoco_minari.loading import Arrays, Origin, arrays
 from imujoco_minari.storage.targets import new_target
 
 
@@ -143,6 +143,17 @@ def test_rlds_says_what_its_files_hold(data: Arrays, tmp_path: Path) -> None:
     assert set(step) == {
         "observation", "action", "reward", "discount", "is_first", "is_last", "is_terminal",
     }  # fmt: skip
+
+
+def test_rlds_states_the_type_of_the_percents(tmp_path: Path) -> None:
+    heavy = Origin("hopper-massinc_37p5_torsogeom", "hopper", "mass", "torsogeom", 37.5, "expert")
+    export(synthetic([4, 3], [BASE, heavy]), "rlds", tmp_path / "x")
+    features = json.loads((tmp_path / "x" / "features.json").read_text())["featuresDict"]["features"]
+    assert features["metadata"]["featuresDict"]["features"]["percent"]["tensor"]["dtype"] == "float32"
+    (file,) = (tmp_path / "x").glob("*.tfrecord-*")
+    for percent in (0.0, 37.5):
+        # The tag and the length of the whole message come first.
+        assert example({"metadata/percent": np.array([percent])})[2:] in file.read_bytes()
 
 
 def test_rlds_starts_a_new_file_when_one_is_full(

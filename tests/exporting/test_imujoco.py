@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import random
 from pathlib import Path
 from typing import Any
 
@@ -49,12 +48,6 @@ class OriginalProgram:
         self.robot, self.place = robot, place
         names = sorted(path.name for path in (place / "dataset").iterdir())
         self.names = [name for name in names if name.endswith(".npz") and robot in name.lower()]
-
-    def split(self) -> tuple[list[str], list[str]]:
-        """Return the files to train on and those held out, as the published protocol draws them."""
-        names = list(self.names)
-        random.Random(42).shuffle(names)
-        return names[: int(0.8 * len(names))], names[int(0.8 * len(names)) :]
 
     def episodes(self, name: str) -> list[tuple[Any, Any]]:
         """Return the states and actions of each episode of a file."""
@@ -182,17 +175,6 @@ def test_the_comparison_of_models_sees_a_difference() -> None:
     )
     differing = {key for key in leg if not np.array_equal(leg[key], base[key])}
     assert {"body_mass", "body_inertia"} <= differing
-
-
-def test_the_split_of_the_protocol_has_its_sizes(tmp_path: Path) -> None:
-    """42 HalfCheetahs to train on and 11 held out, by names alone; ``walker`` finds the Walker2ds."""
-    (tmp_path / "dataset").mkdir()
-    for variant in catalogue():
-        (tmp_path / file_name("dataset", variant)).touch()
-    counts = {robot: len(OriginalProgram(tmp_path, robot).names) for robot in SIZES}
-    assert counts == {"hopper": 37, "halfcheetah": 53, "walker": 64}
-    train, held_out = OriginalProgram(tmp_path, "halfcheetah").split()
-    assert (len(train), len(held_out)) == (42, 11)
 
 
 def test_an_import_gives_the_same_datasets_again(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -15,11 +17,13 @@ from imujoco_minari import combine_datasets, verify
 from imujoco_minari.cli.app import run
 from imujoco_minari.envs import environment_spec
 from imujoco_minari.envs.mjcf import canonical_mjcf, mjcf_sha256
-from imujoco_minari.errors import DatasetError, DatasetNotFoundError
+from imujoco_minari.errors import DatasetError
+from imujoco_minari.importing import originals
 from imujoco_minari.importing.archive import open_archive
 from imujoco_minari.importing.catalogue_diff import published_models
 from imujoco_minari.importing.originals import Import, import_archive, import_variant, recollect
-from imujoco_minari.pictures.rendering.recorded import replay
+from imujoco_minari.pictures.rendering.motion import replay
+from imujoco_minari.publishing.new_dataset import Published
 from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.storage.metadata import complete_metadata
 from imujoco_minari.variants import Variant
@@ -27,6 +31,8 @@ from imujoco_minari.variants.original import OriginalVariant
 
 HOPPER = "hopper-massdec_25_leggeom"
 ODD = "walker2d-frictiondec_50_footleftgeom"
+
+pytestmark = pytest.mark.usefixtures("in_process", "checked_here")
 
 
 @pytest.fixture(autouse=True)
@@ -214,12 +220,19 @@ def test_a_variant_that_fails_does_not_stop_the_others(place: Path, root: Path) 
     assert list(minari.list_local_datasets()) == [f"imujoco-original/{ODD}-v0"]
 
 
-def test_what_is_there_is_left_alone_unless_forced(place: Path) -> None:
+@pytest.mark.parametrize(("act", "reader"), [(import_variant, "read_npz"), (recollect, "read_actor")])
+def test_what_is_there_is_left_alone_unless_forced(
+    place: Path, act: Callable[..., Published], reader: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     archive, variant = open_archive(place), OriginalVariant.parse(HOPPER)
-    first = import_variant(archive, variant, Import())
-    again = import_variant(archive, variant, Import())
+    how = Import(recollect=act is recollect, episodes=1)
+    first = act(archive, variant, how)
+    with monkeypatch.context() as patch:
+        # What is there is found by the file's digest, and nothing else is done.
+        patch.setattr(originals, reader, None)
+        again = act(archive, variant, how)
     assert (first.created, again.created) == (True, False)
-    assert import_variant(archive, variant, Import(force=True)).created
+    assert act(archive, variant, replace(how, force=True)).created
 
 
 def test_a_file_without_the_array_data_is_named(place: Path) -> None:
@@ -319,8 +332,3 @@ def test_diff_catalogue_without_an_archive_takes_what_is_published(
     assert "sound, but not replayed: it was imported without seeds" in capsys.readouterr().out
     assert run(["diff-catalogue"]) == 0
     assert "models: 2 compared, 1 as ours, 1 different" in capsys.readouterr().out
-
-
-def test_no_archive_is_named(tmp_path: Path) -> None:
-    with pytest.raises(DatasetNotFoundError, match="no folder at"):
-        open_archive(tmp_path / "none")

@@ -203,7 +203,7 @@ def test_a_reset_that_no_flag_announces_is_found(physics: Simulator) -> None:
         ends[2] - ends[1],
         ends[3] - ends[2],
     ]
-    assert "1 episodes end at a reset that the source does not mark." in found.notes
+    assert "Episodes that end at a reset that the source does not mark: 1." in found.notes
     ended = [(e.terminations[-1], e.truncations[-1]) for e in found.episodes()]
     assert ended == [(True, False), (False, True), (True, False), (True, False)]
 

@@ -28,6 +28,8 @@ from imujoco_minari.verification import child_process
 BASE = Variant.parse("hopper-base")
 KEYS = ("observations", "actions", "rewards", "terminations", "truncations")
 
+pytestmark = pytest.mark.usefixtures("checked_here")
+
 
 def episodes(dataset_id: str) -> list[Any]:
     return list(minari.load_dataset(dataset_id).iterate_episodes())
@@ -198,8 +200,17 @@ def test_what_cannot_be_imported_is_named(tmp_path: Path, capsys: pytest.Capture
         with pytest.raises(DatasetError, match=message):
             read_source(str(path), "hopper")
     np.savez(tmp_path / "number.npz", observations=0.0, actions=0.0, dones=0.0)
-    with pytest.raises(DatasetError, match=r"flags of shapes \[\(\)\] for 1 steps"):
+    with pytest.raises(DatasetError, match=r"observations are of shape \(\); hopper needs \(1, 11\)"):
         read_source(str(tmp_path / "number.npz"), "hopper")
+    named = {"terminals": "terminations", "timeouts": "truncations", "dones": "ends"}
+    for flag, what in named.items():
+        steps = {name: arrays[name] for name in ("observations", "actions")}
+        np.savez(tmp_path / "half.npz", **steps, **{flag: np.full(len(arrays["rewards"]), 0.5)})
+        with pytest.raises(DatasetError, match=f"{what} hold other numbers than 0 and 1"):
+            read_source(str(tmp_path / "half.npz"), "hopper")
+        np.savez(tmp_path / "short.npz", **steps, **{flag: np.zeros(2)})
+        with pytest.raises(DatasetError, match=rf"{what} are of shape \(2,\)"):
+            read_source(str(tmp_path / "short.npz"), "hopper")
     with pytest.raises(DatasetError, match=r"observations are of shape \(.*, 11\); walker2d needs"):
         read_source(str(write_hdf5(tmp_path / "h.hdf5", arrays)), "walker2d")
     (tmp_path / "x.txt").write_text("x")

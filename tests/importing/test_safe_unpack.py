@@ -21,6 +21,8 @@ from imujoco_minari.variants.original import OriginalVariant
 
 HOPPER = "hopper-massdec_25_leggeom"
 
+pytestmark = pytest.mark.usefixtures("in_process")
+
 
 @pytest.mark.parametrize("folder", ["", "/etc/", "../../", "dataset/../../../", "dataset\\..\\", "C:\\"])
 @pytest.mark.parametrize("mode", [stat.S_IFREG, stat.S_IFLNK, stat.S_IFCHR])

@@ -166,6 +166,22 @@ def test_normalised_observations_have_mean_0_and_deviation_1(
         np.testing.assert_allclose(restored, getattr(exact, name), rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.parametrize("dtype", [None, np.float32])
+def test_normalised_integers_are_floating_point_numbers(
+    small_datasets: list[str], dtype: type | None
+) -> None:
+    with h5py.File(main_file(HOPPER), "a") as file:
+        for number, group in enumerate(file.values()):
+            _store(file, f"{group.name}/observations", np.full(group["observations"].shape, number))
+    assert arrays(HOPPER).observations.dtype == np.int64
+    data = arrays(HOPPER, normalize=True, dtype=dtype)
+    assert data.observations.dtype == data.next_observations.dtype == (dtype or np.float64)
+    assert data.statistics is not None
+    expected = data.statistics.normalize(arrays(HOPPER).observations)
+    assert len(np.unique(expected)) == 8
+    np.testing.assert_allclose(data.observations, expected, rtol=1e-5, atol=1e-6)
+
+
 def test_the_test_share_is_scaled_by_the_training_shares_statistics(small_datasets: list[str]) -> None:
     train = arrays(HOPPER, portion=(0.0, 0.75), normalize=True)
     assert train.statistics is not None
@@ -206,6 +222,12 @@ def test_select_keeps_whole_episodes_in_the_order_given() -> None:
 @pytest.mark.parametrize("numbers", [[], [3], [-1]])
 def test_select_refuses_what_is_no_episode(numbers: list[int]) -> None:
     with pytest.raises(DatasetError, match="valid: 0 to 2"):
+        synthetic([3, 2, 4]).select(numbers)
+
+
+@pytest.mark.parametrize("numbers", [[[1, 2], [3]], [[1], [2]], [0.5], ["a"]])
+def test_select_refuses_what_is_no_list_of_numbers(numbers: Any) -> None:
+    with pytest.raises(ArgumentError, match="episodes must be a list of whole numbers, not "):
         synthetic([3, 2, 4]).select(numbers)
 
 
@@ -254,6 +276,8 @@ def test_arrays_that_cannot_be_saved_leave_nothing(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(StorageError, match=r"cannot write .*saved"):
         data.save(tmp_path / "file" / "saved")
+    with pytest.raises(StorageError, match=r"cannot write .*: File name too long"):
+        data.save(tmp_path / ("a" * 300))
 
 
 def _write_object_array(folder: Path) -> None:
@@ -377,6 +401,10 @@ def test_a_dataset_that_was_deleted_is_named(small_datasets: list[str]) -> None:
         (lambda f: f.pop("episode_1/rewards"), "episode 1 has no array rewards"),
         (lambda f: f.move("episode_3/actions", "episode_2/actions"), "episode 2: actions have shape"),
         (lambda f: f.pop("episode_3"), "has no episode 3"),
+        (
+            lambda f: _store(f, "episode_1/observations", f["episode_1/observations"][()].T),
+            "episode 1: observations have shape",
+        ),
         (lambda f: _store(f, "episode_0/rewards", 1.0), "episode 0: rewards are not an array"),
         (lambda f: _store(f, "episode_1/rewards", 1.0), "episode 1: rewards are not an array"),
         (lambda f: _store(f, "episode_0/rewards", np.zeros((5, 1))), "rewards must be numbers at each step"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -69,6 +70,24 @@ def test_all_shots_of_a_sample_are_of_one_variant() -> None:
         shots = sampler.sample(3, idx=idx)
         assert shots.variant == LEG.variant
         assert set((shots.observations[:, 0, 0] % 2).tolist()) == {1.0}
+
+
+def test_a_variant_of_several_tiers_is_drawn_from_all_of_them() -> None:
+    data = synthetic([3] * 8, [BASE, RANDOM] * 4)
+    sampler = Sampler(data, portion=(0.0, 1.0), horizon=3)
+    drawn = [set((sampler.sample(3, idx=BASE.variant).observations[:, 0, 0] % 2).tolist()) for _ in range(20)]
+    assert {0.0} in drawn
+    assert {1.0} in drawn
+    assert all(len(tier) == 1 for tier in drawn)
+
+
+def test_the_id_of_a_variant_of_one_tier_draws_what_its_number_does() -> None:
+    data = synthetic([3] * 8, [BASE, LEG] * 4)
+    draws = [
+        [Sampler(data, seed=4, horizon=3).sample(2, idx=idx).observations for _ in range(3)]
+        for idx in (1, LEG.variant)
+    ]
+    np.testing.assert_array_equal(*draws)
 
 
 def test_a_seed_repeats_the_draws() -> None:
@@ -367,6 +386,14 @@ def test_preferences_are_saved_whole(tmp_path) -> None:
         np.testing.assert_array_equal(saved["first_actions"], chosen.first.actions)
     with pytest.raises(DatasetExistsError, match=r"pairs\.npz already exists"):
         chosen.save(tmp_path / "pairs.npz")
+
+
+def test_equal_rewards_prefer_nothing() -> None:
+    data = synthetic([40] * 3)
+    for dtype in (np.float64, np.float32):
+        equal = replace(data, rewards=np.full(len(data), 0.1, dtype))
+        with pytest.raises(DatasetError, match="all segments of hopper-base have the same score"):
+            preference_pairs(equal, length=10)
 
 
 def test_where_nothing_is_preferred_is_said() -> None:

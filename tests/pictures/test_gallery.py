@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
+import h5py
 import minari
 import pytest
 
@@ -225,7 +227,43 @@ def test_datasets_that_are_published_here_are_told(tmp_path: Path, drawn: list[s
     assert (score.tier, score.episodes, score.origin) == ("random", 3, "the published dataset")
     assert score.return_mean == pytest.approx(published.return_mean)
     assert score.return_std == pytest.approx(published.return_std)
-    (published.path / "data" / "main_data.hdf5").write_bytes(b"broken")
+
+
+def damage_file(data: Path) -> None:
+    (data / "main_data.hdf5").write_bytes(b"broken")
+
+
+def damage_group(data: Path) -> None:
+    # The signature of a group's nodes. HDF5 fails with a RuntimeError.
+    damaged = (data / "main_data.hdf5").read_bytes().replace(b"SNOD", b"SNOB")
+    (data / "main_data.hdf5").write_bytes(damaged)
+
+
+def damage_metadata(data: Path) -> None:
+    (data / "metadata.json").write_text("[]")
+
+
+def drop_episodes(data: Path) -> None:
+    with h5py.File(data / "main_data.hdf5", "a") as file:
+        file.clear()
+
+
+def link_elsewhere(data: Path) -> None:
+    outside = data.parents[3] / "main_data.hdf5"
+    shutil.copyfile(data / "main_data.hdf5", outside)
+    with h5py.File(data / "main_data.hdf5", "a") as file:
+        del file["episode_0"]
+        file["episode_0"] = h5py.ExternalLink(outside, "episode_0")
+
+
+@pytest.mark.parametrize(
+    "damage", [damage_file, damage_group, damage_metadata, drop_episodes, link_elsewhere]
+)
+def test_a_damaged_dataset_is_not_told(damage: Callable[[Path], None]) -> None:
+    data = publish(LEG, tier="random", episodes=2).path / "data"
+    (score,) = entries.scores(LEG)
+    assert score.origin == "the published dataset"
+    damage(data)
     (score,) = entries.scores(LEG)
     assert score.origin == "measured for this page"
 
@@ -273,7 +311,6 @@ def test_a_second_run_draws_nothing_and_needs_no_opengl(
     first = build(tmp_path / "site", [LEG])
     pages = {path: path.read_bytes() for path in site(tmp_path / "site")}
     monkeypatch.setattr(ClipMaker, "studio", property(lambda self: pytest.fail("drew")))
-    monkeypatch.setattr(entries, "measured_random", lambda variant: pytest.fail("measured"))
     second = build(tmp_path / "site", [LEG])
     assert (first.drawn, second.drawn) == (2, 0)
     assert drawn == ["hopper-base", str(LEG)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from pathlib import Path
 from xml.etree import ElementTree
@@ -10,6 +11,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from PIL import Image
+from random_actors import random_actor
+from safetensors.numpy import save_file
 
 from imujoco_minari import combine_datasets, publish
 from imujoco_minari.cli.app import run
@@ -21,11 +24,13 @@ from imujoco_minari.pictures.plotting.datasets import (
     draw_lengths,
     draw_observations,
     draw_returns,
+    labels,
     load_series,
     plot_datasets,
     with_bases,
 )
 from imujoco_minari.pictures.plotting.quantities import action_quantities, observation_quantities
+from imujoco_minari.pictures.plotting.scores import plot_scores
 from imujoco_minari.pictures.plotting.style import COLOURS, line_style, save
 from imujoco_minari.pictures.plotting.transfer import draw_transfer, plot_transfer
 from imujoco_minari.policies.evaluation import Evaluation
@@ -66,14 +71,14 @@ def test_the_columns_are_in_the_order_of_the_environment() -> None:
 
 
 def test_the_base_of_the_same_tier_is_found_and_comes_first(series: list[Series]) -> None:
-    assert [one.label for one in series] == [
+    assert labels(series) == [
         "hopper-base-random",
         "hopper-massdec_25_leggeom-random",
         "hopper-lengthinc_50_leggeom-random",
     ]
-    (alone,) = [one for one in series if one.label.startswith("hopper-mass")]
+    _, alone, _ = series
     ordered, missing = with_bases([alone])
-    assert [one.label for one in ordered] == ["hopper-base-random", alone.label]
+    assert labels(ordered) == ["hopper-base-random", "hopper-massdec_25_leggeom-random"]
     assert missing == []
 
 
@@ -88,7 +93,23 @@ def test_a_collection_is_one_series() -> None:
     ids = [publish(variant, tier="random", episodes=2).dataset_id for variant in (LEG, LONG)]
     combine_datasets(ids, "imujoco/hopper-mine-v0")
     one = load_series("imujoco/hopper-mine-v0")
-    assert (one.label, one.robot, one.is_base, one.data.episodes) == ("hopper-mine", "hopper", False, 4)
+    assert labels([one]) == ["hopper-mine"]
+    assert (one.robot, one.is_base, one.data.episodes) == ("hopper", False, 4)
+
+
+def test_datasets_of_one_name_have_their_whole_ids(root: Path, series: list[Series]) -> None:
+    base, leg, _ = series
+    shutil.copytree(root / leg.dataset_id, root / "mine" / "hopper-massdec_25_leggeom-random-v0")
+    drawn = [base, leg, load_series("mine/hopper-massdec_25_leggeom-random-v0")]
+    names = ["hopper-base-random", leg.dataset_id, "mine/hopper-massdec_25_leggeom-random-v0"]
+    figure = draw_returns(drawn)
+    (axes,) = figure.axes
+    assert [label.get_text() for label in axes.get_yticklabels()] == [f"{name}  (n = 4)" for name in names]
+    figure.draw_without_rendering()
+    label = axes.xaxis.label.get_window_extent()
+    assert figure.bbox.x0 <= label.x0 < label.x1 <= figure.bbox.x1
+    (legend,) = draw_actions(drawn).legends
+    assert [text.get_text() for text in legend.get_texts()] == names
 
 
 def test_datasets_of_two_robots_are_refused(series: list[Series], tmp_path: Path) -> None:
@@ -113,7 +134,7 @@ def test_the_dots_are_the_episodes(series: list[Series]) -> None:
         medians = [line.get_xdata()[0] for line in axes.lines if line.get_marker() == "o"]
         assert medians == pytest.approx([float(np.median(numbers)) for numbers in values])
         assert [label.get_text() for label in axes.get_yticklabels()] == [
-            f"{one.label}  (n = 4)" for one in series
+            f"{label}  (n = 4)" for label in labels(series)
         ]
 
 
@@ -137,7 +158,7 @@ def test_the_shares_of_a_distribution_add_up_and_the_base_is_filled(series: list
         for patch in steps:
             assert patch.get_data().values.sum() == pytest.approx(100.0)
     (legend,) = figure.legends
-    assert [text.get_text() for text in legend.get_texts()] == [one.label for one in series]
+    assert [text.get_text() for text in legend.get_texts()] == labels(series)
 
 
 def test_a_column_that_never_changes_can_be_drawn(series: list[Series]) -> None:
@@ -171,6 +192,18 @@ def test_each_figure_is_a_png_and_an_svg_and_the_same_when_drawn_again(
             assert "hopper-base-random" in words
     again = save(draw_returns(series), tmp_path / "b" / "returns")
     assert [file.read_bytes() for file in files[:2]] == [file.read_bytes() for file in again]
+
+
+# Scores
+
+
+def test_a_method_that_one_panel_lacks_is_in_the_legend(tmp_path: Path) -> None:
+    one, both = {"told": [(0.5, 0.4, 0.6)]}, {"told": [(0.5, 0.4, 0.6)], "mine": [(0.2, 0.1, 0.2)]}
+    for x_label in ("steps", ""):
+        _, svg = plot_scores({"a": one, "b": both}, ["25"], ("Scores", x_label, "score"), tmp_path / "scores")
+        words = " ".join(ElementTree.parse(svg).getroot().itertext()).split()
+        assert words.count("told") == words.count("mine") == 1
+        assert x_label in words or not x_label
 
 
 # Transfer
@@ -223,6 +256,20 @@ def test_the_command_plots_and_tells_of_a_missing_base(
     assert len(json.loads(told.out)["files"]) == len(list((tmp_path / "plots").iterdir())) == 8
     assert run(["plot", "imujoco/hopper-base-v0"]) == 2
     assert "is not in the Minari root" in capsys.readouterr().err
+
+
+def test_policies_of_one_name_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    paths = [tmp_path / folder / "mine.safetensors" for folder in ("a", "b")]
+    for path in paths:
+        path.parent.mkdir()
+        save_file(dict(random_actor(11, 3).weights), path)
+    output = tmp_path / "transfer"
+    command = ["transfer", "-r", "hopper", "-c", "friction", "-n", "1", "-o", str(output)]
+    assert run([*command, *(word for path in paths for word in ("--policy", str(path)))]) == 1
+    assert f"{paths[0]} and {paths[1]} have the same name, mine: rename" in capsys.readouterr().err
+    assert not output.exists()
+    assert run([*command, "--policy", str(paths[0]), "--policy", str(paths[0]), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["policies"] == ["mine"]
 
 
 def test_a_missing_matplotlib_is_named_with_its_remedy(

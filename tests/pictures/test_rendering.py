@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -28,15 +29,16 @@ from imujoco_minari.errors import (
     StorageError,
     VariantError,
 )
-from imujoco_minari.pictures.rendering import frame_steps, render_motions
+from imujoco_minari.pictures import rendering
+from imujoco_minari.pictures.rendering import film, frame_steps, render_motions
 from imujoco_minari.pictures.rendering.files import write_picture, write_video
 from imujoco_minari.pictures.rendering.film import (
     caption_height,
     change,
     contact_sheet,
     grid,
-    pace,
     sheet_steps,
+    stride,
 )
 from imujoco_minari.pictures.rendering.framing import (
     FIELD_OF_VIEW,
@@ -47,9 +49,8 @@ from imujoco_minari.pictures.rendering.framing import (
     capsules,
     follow,
 )
-from imujoco_minari.pictures.rendering.motion import Motion, perform
-from imujoco_minari.pictures.rendering.portraits import portraits, stance
-from imujoco_minari.pictures.rendering.recorded import replay
+from imujoco_minari.pictures.rendering.motion import Motion, perform, replay
+from imujoco_minari.pictures.rendering.portraits import stance
 from imujoco_minari.pictures.rendering.scene import COLOURS, NEAR, scene_model
 from imujoco_minari.pictures.rendering.source import of_dataset, of_variant
 from imujoco_minari.policies import RandomPolicy
@@ -167,6 +168,15 @@ def test_an_episode_that_does_not_say_how_it_was_made_is_named() -> None:
     with h5py.File(published.path / "data" / "main_data.hdf5", "a") as file:
         file["episode_0"].attrs["seed"] = 0
     with pytest.raises(VariantError, match="needs the text of its model"):
+        replay(published.dataset_id)
+
+
+def test_an_episode_of_a_damaged_file_is_named() -> None:
+    published = publish(HOPPER, tier="random", episodes=1)
+    path = published.path / "data" / "main_data.hdf5"
+    # The signature of a group's nodes. HDF5 fails with a RuntimeError.
+    path.write_bytes(path.read_bytes().replace(b"SNOD", b"SNOB"))
+    with pytest.raises(DatasetError, match="random-v0: episode 0 cannot be read"):
         replay(published.dataset_id)
 
 
@@ -310,15 +320,33 @@ def test_the_caption_says_what_changes(name: str, words: str) -> None:
     assert change(Variant.parse(name)) == words
 
 
+def test_a_caption_that_has_no_room_does_not_grow() -> None:
+    # A picture of 64 pixels asks for text of less than 6 pixels.
+    assert film._fitting_size("hopper-lengthinc_50_leggeom", 2.88, 5.0) == 2.88
+    assert film._fitting_size("hopper-lengthinc_50_leggeom", 30.0, 5.0) == 6.0
+
+
 # Frames
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_a_video_runs_as_fast_as_the_simulation(robot: str) -> None:
     motion = moved(Variant(robot), seconds=1.0)
-    tempo = pace([motion])
-    assert 1 / (tempo.stride * tempo.per_second) == pytest.approx(motion.timestep)
-    assert 15 <= tempo.per_second <= 35
+    assert 15 <= 1 / (stride([motion]) * motion.timestep) <= 35
+
+
+@pytest.mark.parametrize("ending", ["mp4", "gif"])
+def test_the_rate_of_a_file_is_that_of_its_frames(
+    ending: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[float] = []
+    monkeypatch.setattr(rendering, "Studio", lambda *size: nullcontext())
+    monkeypatch.setattr(rendering, "frames", lambda *given, **named: iter(()))
+    monkeypatch.setattr(rendering, "write_video", lambda path, pictures, rate: told.append(rate))
+    motion, path = moved(HOPPER), tmp_path / f"a.{ending}"
+    render_motions([motion], path)
+    first, second, *_ = frame_steps([motion], path)
+    assert told == [pytest.approx(1 / ((second - first) * motion.timestep))]
 
 
 def test_frames_of_a_video_a_picture_and_a_sheet() -> None:
@@ -571,6 +599,8 @@ def test_the_command_renders_a_recorded_episode(
         (["hopper-base", "--tier", "random", "--output", "a.png", "--size", "big"], 1, "WIDTHxHEIGHT"),
         (["hopper-base", "--tier", "random", "--output", "a.png", "--size", "1x1"], 1, "64 to 4096"),
         (["imujoco/hopper-base-v0", "--output", "a.png"], 2, "is not in the Minari root"),
+        (["imujoco/hopper-base-v0", "-t", "expert", "-o", "a.png"], 1, "leave out --tier and --policy"),
+        (["imujoco/hopper-base-v0", "--policy", "p.zip", "-o", "a.png"], 1, "leave out --tier and"),
     ],
 )
 def test_the_command_names_what_is_wrong(
@@ -607,16 +637,6 @@ def test_a_stance_stands_on_the_floor_within_the_joints_ranges(variant: Variant)
     for joint in range(3, model.njnt):
         low, high = model.jnt_range[joint]
         assert low - 1e-12 <= position[model.jnt_qposadr[joint]] <= high + 1e-12
-
-
-def test_portraits_of_one_row_are_seen_from_one_distance(opengl: str) -> None:
-    from imujoco_minari.pictures.rendering.studio import Studio
-
-    with Studio(96, 80, fine=False) as studio:
-        base, long = portraits([HOPPER.base, Variant.parse("hopper-lengthinc_50_leggeom")], studio)
-    assert base.size == long.size == (96, 80)
-    assert np.asarray(base).std() > 5
-    assert not np.array_equal(base, long)
 
 
 def test_the_readmes_picture_is_there() -> None:

@@ -36,6 +36,8 @@ def test_a_collection_is_normalised_by_the_variant_of_each_episode() -> None:
     scores = normalized_score([BASE, LEG, Variant.parse(LEG)], [high, other_high, other_low])
     assert scores.tolist() == pytest.approx([1, 1, 0])
     assert normalized_score([], []).shape == (0,)
+    assert normalized_score(np.array([BASE, LEG]), [high, other_high]).tolist() == pytest.approx([1, 1])
+    assert normalized_score(np.array(BASE), high) == pytest.approx(1)
 
 
 def test_minari_computes_the_same_from_a_published_dataset() -> None:
@@ -54,6 +56,7 @@ def test_minari_computes_the_same_from_a_published_dataset() -> None:
         ([BASE, LEG], [1.0], ArgumentError, r"the returns have the shape \(1,\)"),
         ([BASE, LEG], 1.0, ArgumentError, "one variant for each return"),
         (None, [1.0], ArgumentError, "one variant for each return"),
+        (np.array([[BASE]]), [1.0], VariantError, "a variant id is text, not list"),
         (BASE, "many", ArgumentError, "returns must be numbers, not 'many'"),
         (BASE, None, ArgumentError, "returns must be numbers, not None"),
     ],

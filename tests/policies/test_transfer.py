@@ -20,7 +20,6 @@ from imujoco_minari.policies.transfer import (
     COLUMNS,
     Transfer,
     columns,
-    evaluate_cells,
     evaluate_transfer,
     expert_policies,
     write_csv,
@@ -90,9 +89,13 @@ def test_a_second_run_evaluates_nothing(
 def test_a_run_that_was_broken_off_goes_on(
     tmp_path: Path, policies: dict[str, Policy], evaluated: list[tuple[str, str]]
 ) -> None:
-    for _ in evaluate_cells(policies, VARIANTS, tmp_path / "state.json", episodes=1):
+    def break_off() -> None:
         if len(evaluated) == 4:
-            break
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        evaluate_transfer(policies, VARIANTS, tmp_path / "state.json", episodes=1, on_cell=break_off)
+    assert len(evaluated) == 4
     evaluate_transfer(policies, VARIANTS, tmp_path / "state.json", episodes=1)
     assert len(evaluated) == len(set(evaluated)) == 9
     assert [path.name for path in tmp_path.iterdir()] == ["state.json"]

@@ -14,13 +14,13 @@ import pytest
 from actor_datasets import random_weights
 from minari.dataset.minari_storage import MinariStorage
 
-from imujoco_minari.envs.registration import make
+from imujoco_minari.envs.registration import environment_spec, make
 from imujoco_minari.policies import LANES, Actor, RandomPolicy
 from imujoco_minari.policies.rollouts import episode_seed, roll_out
 from imujoco_minari.publishing.collector import StorageCollector, collect
 from imujoco_minari.storage import file_format
 from imujoco_minari.storage.writer import EpisodeStorage, new_storage
-from imujoco_minari.variants import Variant, specification
+from imujoco_minari.variants import specification
 
 ROBOTS = ("hopper", "halfcheetah", "walker2d")
 
@@ -138,9 +138,9 @@ def test_warns_of_what_lies_outside_its_space_as_the_stock_collector_does(tmp_pa
 
 
 def test_episodes_do_not_depend_on_what_was_recorded_before(tmp_path):
-    variant, policy = Variant.parse("hopper-base"), RandomPolicy(3)
-    collect(variant, policy, range(4), 7, tmp_path / "all", lambda seed: {"tier": "random"})
-    collect(variant, policy, [2], 7, tmp_path / "one", lambda seed: {"tier": "random"})
+    spec, policy = environment_spec("hopper-base"), RandomPolicy(3)
+    collect(spec, policy, range(4), 7, tmp_path / "all", lambda seed: {"tier": "random"})
+    collect(spec, policy, [2], 7, tmp_path / "one", lambda seed: {"tier": "random"})
     attributes, arrays = stored(tmp_path / "one")["episode_0"]
     same_attributes, same_arrays = stored(tmp_path / "all")["episode_2"]
     assert attributes | {"id": 2} == same_attributes
@@ -155,8 +155,8 @@ def untrained(observations=11, actions=3, **options):
 
 @pytest.mark.parametrize("deterministic", [True, False])
 def test_episodes_of_an_actor_do_not_depend_on_what_is_rolled_out_beside_them(tmp_path, deterministic):
-    variant, actor = Variant.parse("hopper-base"), untrained(deterministic=deterministic)
-    collect(variant, actor, range(19), 7, tmp_path / "all")
+    spec, actor = environment_spec("hopper-base"), untrained(deterministic=deterministic)
+    collect(spec, actor, range(19), 7, tmp_path / "all")
     everything = stored(tmp_path / "all")
     assert [attributes["id"] for attributes, _ in everything.values()] == list(range(19))
     assert [attributes["seed"] for attributes, _ in everything.values()] == [
@@ -164,7 +164,7 @@ def test_episodes_of_an_actor_do_not_depend_on_what_is_rolled_out_beside_them(tm
     ]
     assert len({attributes["total_steps"] for attributes, _ in everything.values()}) > 3
     for episodes in ([5], [18, 3, 11], range(4, 14)):
-        collect(variant, actor, episodes, 7, tmp_path / "some")
+        collect(spec, actor, episodes, 7, tmp_path / "some")
         for place, episode in enumerate(episodes):
             _, arrays = stored(tmp_path / "some")[f"episode_{place}"]
             _, same = everything[f"episode_{episode}"]

@@ -26,6 +26,7 @@ from imujoco_minari.errors import (
     PolicyNotFoundError,
 )
 from imujoco_minari.policies import RandomPolicy, read_actor
+from imujoco_minari.publishing.combiner import combine_datasets
 from imujoco_minari.publishing.publisher import publish, publish_all
 from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.variants import Variant, catalogue
@@ -176,6 +177,16 @@ def test_another_recipe_of_the_same_id_is_an_error_that_names_the_difference(
     assert "--force" in str(raised.value)
     assert "\n" not in str(raised.value)
     assert (file.stat().st_ino, file.stat().st_mtime_ns) == before
+
+
+def test_a_collection_under_the_id_is_another_dataset(dataset: minari.MinariDataset, actor: Path) -> None:
+    combine_datasets([ID], ID, force=True)
+    recipe = {"tier": "mine", "policy": actor, "episodes": 6, "seed": 3}
+    with pytest.raises(
+        DatasetExistsError, match=r"it has no seed, no policy, .*; you asked for seed 3, policy "
+    ):
+        publish("hopper-massdec_25_leggeom", **recipe)
+    assert publish("hopper-massdec_25_leggeom", force=True, **recipe).created
 
 
 def test_a_policy_may_be_an_object(dataset: minari.MinariDataset, actor: Path) -> None:

@@ -27,8 +27,7 @@ from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.remotes import card, connecting, pulling, pushing, stores
 from imujoco_minari.storage import minari_root, transactions
 from imujoco_minari.storage.file_format import MAIN_FILE
-from imujoco_minari.verification import child_process, inspect
-from imujoco_minari.verification.check import check
+from imujoco_minari.verification import inspect
 
 HOPPER = "imujoco/hopper-massdec_25_leggeom-random-v0"
 BASE = "imujoco/hopper-base-random-v0"
@@ -98,14 +97,14 @@ def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def store(published: Path, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FolderStore:
+def store(
+    published: Path, root: Path, tmp_path: Path, checked_here: None, monkeypatch: pytest.MonkeyPatch
+) -> FolderStore:
     """A folder as the remote, and a root that holds what was published."""
     shutil.copytree(published, root)
     store = FolderStore(tmp_path / "remote")
     for module in (pushing, pulling):
         monkeypatch.setattr(module, "connect", lambda *args, **kwargs: store)
-    # Its child processes are tested with the verification; here they would take most of the time.
-    monkeypatch.setattr(child_process, "check_apart", lambda data, metadata, jobs=1: check(data, metadata))
     return store
 
 

@@ -4,10 +4,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import sys
+import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import minari
 import pytest
@@ -23,8 +26,6 @@ from imujoco_minari.errors import RemoteError
 from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.remotes import connecting, stores
 from imujoco_minari.storage import minari_root
-from imujoco_minari.verification import child_process
-from imujoco_minari.verification.check import check
 
 # huggingface_hub 2.4 uses httpx in a way that httpx would have changed.
 pytestmark = pytest.mark.filterwarnings("ignore:Use 'content=:DeprecationWarning")
@@ -43,10 +44,9 @@ def point_at(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def hub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hub]:
+def hub(tmp_path: Path, checked_here: None, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hub]:
     """A Hub on loopback that ``huggingface_hub`` takes for the real one, and a token for it."""
     monkeypatch.setenv("HF_TOKEN", TOKEN)
-    monkeypatch.setattr(child_process, "check_apart", lambda data, metadata, jobs=1: check(data, metadata))
     with HubServer() as server:
         point_at(server.url, monkeypatch)
         monkeypatch.setattr(constants, "HF_HUB_DISABLE_XET", True)
@@ -95,6 +95,22 @@ def test_a_push_that_is_cut_off_shows_nothing_and_uploads_no_file_twice(hub: Hub
     assert remotes.push(BASE, REMOTE)[0].uploaded
     assert sum(request.startswith("PUT /upload/") for request in hub.requests) == 1
     assert [outcome.uploaded for outcome in remotes.push(BASE, REMOTE)] == [False]
+
+
+def test_a_large_file_is_compared_without_reading_it_whole(tmp_path: Path) -> None:
+    from imujoco_minari.remotes.huggingface import _is_equal
+
+    file, zeros = tmp_path / "file", bytes(2**23)
+    file.write_bytes(zeros)
+    blob = hashlib.sha1(b"blob %d\0" % len(zeros) + zeros).hexdigest()
+    large = SimpleNamespace(lfs=SimpleNamespace(sha256=hashlib.sha256(zeros).hexdigest()), blob_id="pointer")
+    tracemalloc.start()
+    assert _is_equal(file, large)
+    assert _is_equal(file, SimpleNamespace(lfs=None, blob_id=blob))
+    assert not _is_equal(file, SimpleNamespace(lfs=None, blob_id=large.lfs.sha256))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 2**20
 
 
 def test_another_push_in_between_loses_no_registration(hub: Hub, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,7 @@ import pytest
 import imujoco_minari
 from imujoco_minari.errors import DatasetError
 from imujoco_minari.exporting import export
-from imujoco_minari.pictures.rendering.recorded import read_recorded
+from imujoco_minari.pictures.rendering.motion import replay
 from imujoco_minari.publishing.combiner import combine_datasets
 from imujoco_minari.storage import file_format
 from imujoco_minari.storage.metadata import complete_metadata
@@ -50,7 +50,7 @@ def linked_episode(file: h5py.File, secret: Path) -> None:
 READERS: dict[str, Callable[[Path], Any]] = {
     "arrays": lambda place: imujoco_minari.arrays([ID]),
     "export": lambda place: export([ID], "npz", place / "x.npz"),
-    "plot and render": lambda place: read_recorded(ID),
+    "plot and render": lambda place: replay(ID),
     "combine": lambda place: combine_datasets([ID], NEW),
     "combine --link": lambda place: combine_datasets([ID], NEW, link=True),
 }

@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from minari import namespace
+from minari.dataset.minari_dataset import parse_dataset_id
 
 from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError, StorageError
 from imujoco_minari.publishing.publisher import publish
@@ -76,6 +77,7 @@ class TestIds:
             "imujoco/hopper-v9999999",
             "data/hopper-v0",
             "imujoco/data/hopper-v0",
+            "t/hopper-v0",
             None,
             7,
         ],
@@ -94,6 +96,22 @@ class TestIds:
         assert root.resolve() in folder.resolve().parents
         assert not any(part.startswith(".") for part in folder.relative_to(root).parts)
 
+    @given(st.from_regex(minari_root._DATASET_ID, fullmatch=True))
+    def test_minari_parses_every_id(self, text: str) -> None:
+        try:
+            minari_root.dataset_folder(text)
+        except ImujocoError:
+            return
+        parse_dataset_id(text)
+
+    def test_a_namespace_of_one_letter_would_break_minaris_listing(self, root: Path) -> None:
+        put("sound")
+        (root / ID).rename(root / "t-v0")
+        (root / "t" / "hopper-v0" / "data").mkdir(parents=True)
+        (root / "t-v0" / "data" / "metadata.json").rename(root / "t" / "hopper-v0" / "data" / "metadata.json")
+        with pytest.raises(ValueError, match="Malformed dataset ID"):
+            minari.list_local_datasets()
+
     def test_a_namespace_named_data_would_break_minaris_listing(self, root: Path) -> None:
         put("sound")
         (root / "imujoco" / "data").mkdir()
@@ -106,6 +124,7 @@ class TestCommit:
         put("first")
         assert listed() == {ID: "first"}
         assert namespace.list_local_namespaces() == ["imujoco"]
+        assert namespace.get_namespace_metadata("imujoco") == {}
         assert leftovers(root) == []
 
     def test_a_staged_dataset_is_not_listed(self) -> None:
@@ -143,14 +162,6 @@ class TestCommit:
         namespace.create_namespace("imujoco", description="mine")
         put("first")
         assert namespace.get_namespace_metadata("imujoco") == {"description": "mine"}
-
-    def test_a_namespace_is_made_where_there_are_no_hard_links(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        def refuse(self: Path, target: Path) -> None:
-            raise OSError(errno.EPERM, "no links here")
-
-        monkeypatch.setattr(Path, "hardlink_to", refuse)
-        put("first")
-        assert namespace.get_namespace_metadata("imujoco") == {}
 
     def test_others_may_read_what_they_could_read_anywhere(self, root: Path) -> None:
         mask = os.umask(0o022)

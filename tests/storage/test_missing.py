@@ -9,7 +9,7 @@ import pytest
 
 from imujoco_minari.errors import DatasetNotFoundError
 from imujoco_minari.loading.load import arrays
-from imujoco_minari.pictures.rendering.recorded import replay
+from imujoco_minari.pictures.rendering.motion import replay
 from imujoco_minari.publishing.combiner import combine_datasets
 from imujoco_minari.storage.missing import making, not_in_root
 from imujoco_minari.verification import verify

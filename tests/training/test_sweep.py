@@ -26,6 +26,7 @@ from imujoco_minari.training.agents import (
     actor_of,
     agent_actor,
     agent_arrays,
+    forget_compiled,
     load_arrays,
     make_agent,
     restore_agent,
@@ -43,7 +44,10 @@ from imujoco_minari.variants import Variant
 BASE = Variant.parse("hopper-base")
 LIGHT_LEG = Variant.parse("hopper-massdec_25_leggeom")
 
-pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::DeprecationWarning"),
+    pytest.mark.usefixtures("kept_compiled"),
+]
 
 # Two milder variants for 200 of the 350 steps, which end in the second and third intervals.
 STONES = SETTLING | {"stones": 2, "approach_share": 200 / 350}
@@ -57,15 +61,8 @@ def quick_ladder(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ladder, "MEDIUM_EPISODES", 1)
 
 
-@pytest.mark.parametrize(
-    "task",
-    [
-        Task(BASE, hyperparameters("hopper", SCRATCH, **SETTLING)),
-        Task(LIGHT_LEG, hyperparameters("hopper", FAR, **STONES)),
-    ],
-    ids=["base", "by stepping stones"],
-)
-def test_a_killed_run_ends_in_the_weights_of_one_that_was_not(task: Task, tmp_path: Path) -> None:
+def test_a_killed_run_ends_in_the_weights_of_one_that_was_not(tmp_path: Path) -> None:
+    task = Task(LIGHT_LEG, hyperparameters("hopper", FAR, **STONES))
     whole = Run(task, tmp_path / "whole")
     record = whole.train()
     broken = Run(task, tmp_path / "broken")
@@ -83,7 +80,11 @@ def test_a_killed_run_ends_in_the_weights_of_one_that_was_not(task: Task, tmp_pa
     assert again["evaluation"] == record["evaluation"]
 
 
-def test_a_start_that_reaches_the_target_is_the_expert(tmp_path: Path, quick_ladder: None) -> None:
+def test_a_start_that_reaches_the_target_is_the_expert(
+    tmp_path: Path, quick_ladder: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The tests of starts try the experts of other variants, which are dozens.
+    monkeypatch.setattr("imujoco_minari.training.starts._expert_start", lambda variant, best, *_: best)
     unlisted = Variant.parse("hopper-massdec_26_leggeom")
     (outcome,) = train_all([unlisted], Plan(tmp_path / "state", changes=TINY, target=-1e9))
     assert (outcome.created, outcome.error) == (True, "")
@@ -189,23 +190,19 @@ def test_a_whole_robot_gets_a_generalist_to_start_from(
     assert [outcome.created for outcome in train_all(variants, plan)] == [False, False]
 
 
-def test_an_agent_is_restored_whole_or_refused(tmp_path: Path) -> None:
+def test_an_agent_is_restored_whole_or_refused_on_a_device_that_is_there(tmp_path: Path) -> None:
     settings = hyperparameters("hopper", WARM, **TINY)
     agent = make_agent(make(BASE), settings, seed=1)
     save_arrays(tmp_path / "agent.safetensors", agent_arrays(agent))
-    other = make_agent(make(BASE), settings, seed=2)
+    other = make_agent(make(BASE), settings, seed=2, device="cpu")
     arrays = load_arrays(tmp_path / "agent.safetensors")
     restore_agent(other, arrays)
     assert {name: array.tobytes() for name, array in agent_arrays(other).items()} == {
         name: array.tobytes() for name, array in arrays.items()
     }
-    with pytest.raises(PolicyError, match="does not fit: actor/"):
-        restore_agent(make_agent(make("walker2d-base"), settings, seed=0), arrays)
-
-
-def test_a_device_that_is_not_there_is_named_with_those_that_are() -> None:
-    settings = hyperparameters("hopper", WARM, **TINY)
-    make_agent(make(BASE), settings, seed=0, device="cpu")
+    name = "actor/params/Dense_1/kernel"
+    with pytest.raises(PolicyError, match=f"does not fit: {name}"):
+        restore_agent(other, arrays | {name: arrays[name][1:]})
     with pytest.raises(TrainingError, match=r"no device 'abacus' here; valid: .*cpu"):
         make_agent(make(BASE), settings, seed=0, device="abacus")
 
@@ -229,25 +226,12 @@ def test_a_variant_without_a_base_agent_says_what_to_train_first(tmp_path: Path,
         train(LIGHT_LEG, Plan(tmp_path / "state"))
 
 
-def test_the_last_steps_are_made_at_the_settling_rate(tmp_path: Path) -> None:
-    settings = hyperparameters("hopper", SCRATCH, **SETTLING | {"max_steps": 450, "settling_rate": 0.0})
-    run = Run(Task(BASE, settings), tmp_path)
-    run.train()
-    agent = weakref.ref(run._agent)
-    run.close()
-    assert agent() is None
-    learning, settled, after = (
-        load_arrays(tmp_path / "ladder" / f"{steps}.safetensors") for steps in (260, 360, 460)
-    )
-    # At a rate of nothing, nothing is learnt.
-    assert all(np.array_equal(settled[name], after[name]) for name in settled)
-    assert not all(np.array_equal(learning[name], settled[name]) for name in settled)
-
-
-def test_a_run_goes_by_way_of_milder_variants_and_is_judged_in_its_own(tmp_path: Path) -> None:
-    task = Task(
-        LIGHT_LEG, hyperparameters("hopper", FAR, **STONES | {"max_steps": 450, "approach_share": 4 / 9})
-    )
+def test_a_run_goes_by_way_of_milder_variants_and_settles_in_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("imujoco_minari.training.run.forget_compiled", forget_compiled)
+    changes = STONES | {"max_steps": 450, "approach_share": 4 / 9, "settling_rate": 0.0}
+    task = Task(LIGHT_LEG, hyperparameters("hopper", FAR, **changes))
     trained_in: list[str] = []
 
     class Watch(gym.Wrapper[Any, Any, Any, Any]):
@@ -268,7 +252,15 @@ def test_a_run_goes_by_way_of_milder_variants_and_is_judged_in_its_own(tmp_path:
     firsts = [trained_in[number] for number in begun[:-1]]
     assert firsts == [f"hopper-massdec_{percent}_leggeom" for percent in (8, 17, 17, 25, 25)]
     assert run._evaluation_env.unwrapped.variant == LIGHT_LEG
+    learning, settled, after = (
+        load_arrays(tmp_path / "ladder" / f"{steps}.safetensors") for steps in (260, 360, 460)
+    )
+    # At a rate of nothing, nothing is learnt.
+    assert all(np.array_equal(settled[name], after[name]) for name in settled)
+    assert not all(np.array_equal(learning[name], settled[name]) for name in settled)
+    agent = weakref.ref(run._agent)
     run.close()
+    assert agent() is None
 
 
 def test_an_actor_that_seems_the_best_is_looked_at_longer(
@@ -291,6 +283,17 @@ def test_an_actor_that_seems_the_best_is_looked_at_longer(
     assert looks == [1, 2, 3] * 2
     assert run.progress.best_score == 40.0
     assert run.progress.best_steps == 260
+    run.close()
+
+
+def test_a_score_below_zero_is_improved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = Run(Task(BASE, hyperparameters("hopper", SCRATCH, **TINY)), tmp_path)
+    # The last mean is worth no second look.
+    for value, best in ((-100.0, -100.0), (-99.0, -99.0), (-101.5, -99.0)):
+        found = {"return_mean": value, "return_min": value}
+        monkeypatch.setattr(Run, "_evaluate", lambda *_, found=found: found)
+        run._evaluate_actor(0.0)
+        assert run.progress.best_score == best
     run.close()
 
 

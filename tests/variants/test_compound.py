@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -83,6 +84,9 @@ def test_bad_ids_are_refused(text: str, message: str) -> None:
 
 
 def test_a_percent_is_a_number() -> None:
-    for percent in (0.125, float("nan"), float("inf"), True, "5"):
+    for percent in (np.int64(50), np.float32(50), np.float64(50)):
+        change = Change("mass", percent, "leggeom")  # type: ignore[arg-type]
+        assert (str(change), type(change.percent)) == ("massinc_50_leggeom", int)
+    for percent in (0.125, float("nan"), float("inf"), True, np.True_, "5"):
         with pytest.raises(VariantError, match="number with at most two decimals"):
             Change("mass", percent, "leggeom")  # type: ignore[arg-type]

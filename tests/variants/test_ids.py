@@ -170,6 +170,30 @@ def test_a_wrong_id_says_what_is_wrong_and_what_is_right(text: str, words: list[
     assert isinstance(caught.value, ValueError)
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("imujoco/hopper-base-v7", ["'imujoco/hopper-base-v7' is not the dataset id", "[-<tier>]-v0"]),
+        ("imujoco/hopper-base-v00", ["is not the dataset id of a variant"]),
+        ("imujoco-original/hopper-base-v0", ["is not the dataset id of a variant"]),
+        ("hopper-base-v0", ["is not the dataset id of a variant"]),
+        ("imujoco/hopper-base-expert-v0", ["did you mean 'imujoco/hopper-base-v0'?"]),
+        (
+            "imujoco/hopper-frictiondec_50_feet-massinc_50_torsogeom-random-v0",
+            ["did you mean 'imujoco/hopper-massinc_50_torsogeom-frictiondec_50_feet-random-v0'?"],
+        ),
+        ("imujoco/hopper-base-Random-v0", ["malformed tier 'Random'"]),
+        ("imujoco/hoper-base-v0", ["unknown robot 'hoper'", "did you mean 'hopper'"]),
+        ("imujoco/hopper-all-v0", ["malformed variant id 'hopper-all'"]),
+    ],
+)
+def test_only_the_dataset_id_of_a_variant_is_one(text: str, words: list[str]) -> None:
+    with pytest.raises(VariantError) as caught:
+        parse_dataset_id(text)
+    assert all(word in str(caught.value) for word in words), caught.value
+    assert "\n" not in str(caught.value)
+
+
 @pytest.mark.parametrize("tier", ["", "massinc_5_leggeom", "Expert", "../x", "a b", "-x", "x" * 50])
 def test_a_wrong_tier_is_refused(tier: str) -> None:
     with pytest.raises(VariantError, match="malformed tier"):

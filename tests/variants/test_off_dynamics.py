@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from imujoco_minari.envs.mjcf import canonical_mjcf
-from imujoco_minari.errors import CatalogueError, VariantError
-from imujoco_minari.variants.off_dynamics import _parse, off_dynamics, off_dynamics_names
+from imujoco_minari.errors import VariantError
+from imujoco_minari.variants.off_dynamics import off_dynamics, off_dynamics_names
 
 
 def target_model(name: str) -> mujoco.MjModel:
@@ -109,16 +109,3 @@ def test_other_names_are_refused(name: str, message: str) -> None:
         off_dynamics(name)
     with pytest.raises(VariantError, match="no task of the robot 'humanoid'"):
         off_dynamics_names("humanoid")
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("[task]", "unknown key 'task'; valid: not_expressed, notes, tasks"),
-        ("[tasks]\nx = 1", r"\[tasks\] must hold texts"),
-        ("tasks = ", "not TOML"),
-    ],
-)
-def test_a_wrong_page_is_refused(text: str, message: str) -> None:
-    with pytest.raises(CatalogueError, match=message):
-        _parse(text, "page")

@@ -62,6 +62,13 @@ def test_one_parameter_draws_a_simple_variant() -> None:
     assert named.dataset_id() == "imujoco/walker2d-stiff-v0"
 
 
+def test_numbers_of_numpy_are_numbers() -> None:
+    whole = Ranges("hopper", {name: np.array(bounds) for name, bounds in TWO.items()})  # type: ignore[misc]
+    assert whole == Ranges("hopper", TWO)
+    assert Ranges("hopper", {name: list(map(np.int16, bounds)) for name, bounds in TWO.items()}) == whole
+    assert {type(bound) for bounds in whole.ranges.values() for bound in bounds} == {int}
+
+
 def test_a_group_is_drawn_as_one() -> None:
     variant = Ranges("walker2d", {"joint/thighjoints": (-50, 0)}).draw(0)
     assert len(variant.changes) == 1
@@ -79,6 +86,10 @@ def test_a_group_is_drawn_as_one() -> None:
         (("hopper", {"mass/torsogeom": (5, -5)}), r"range of mass/torsogeom is \(5, -5\); valid: the lowest"),
         (("hopper", {"mass/torsogeom": 5}), "range of mass/torsogeom is 5; valid"),
         (("hopper", {"mass/torsogeom": (5,)}), "valid: the lowest and the highest percent"),
+        (
+            ("hopper", {"mass/torsogeom": np.zeros((2, 2))}),
+            r"is \[\[0.0, 0.0\], \[0.0, 0.0\]\]; valid: the low",
+        ),
         (("hopper", {"mass/torsogeom": (float("nan"), 5)}), "valid: the lowest and the highest percent"),
         (("hopper", {"mass/torsogeom": ("a", "b")}), "valid: the lowest and the highest percent"),
         (

@@ -7,11 +7,9 @@ from typing import Any
 
 import pytest
 
-from imujoco_minari.errors import CatalogueError, VariantError
+from imujoco_minari.errors import VariantError
 from imujoco_minari.variants import CATEGORIES, ROBOTS, Variant, catalogue
-from imujoco_minari.variants.splits import HeldOut, held_out, held_out_names, parse_splits
-
-SPLIT = '[x-v1]\nrobot = "hopper"\ndescription = "d"\nheld_out = [{ category = ["mass"] }]\n'
+from imujoco_minari.variants.splits import HeldOut, held_out, held_out_names
 
 
 @pytest.mark.parametrize("name", held_out_names())
@@ -131,18 +129,3 @@ def test_an_unknown_split_gets_the_nearest() -> None:
         held_out(None)  # type: ignore[arg-type]
     with pytest.raises(VariantError, match="unknown robot"):
         held_out_names("crab")
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("[", "not TOML"),
-        (SPLIT.replace("description", "describe"), "must hold description, held_out and"),
-        (SPLIT.replace("category", "categories"), "unknown rule 'categories'"),
-        (SPLIT.replace('["mass"]', '["maß"]'), "no variant follows"),
-        (SPLIT.replace("[{", "{").replace("}]", "}"), "must be a list of rules"),
-    ],
-)
-def test_a_faulty_file_of_splits_is_named(text: str, message: str) -> None:
-    with pytest.raises(CatalogueError, match=f"^bad.toml.*{message}"):
-        parse_splits(text, "bad.toml")

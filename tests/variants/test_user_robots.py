@@ -6,6 +6,7 @@ import json
 import pickle
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import gymnasium as gym
@@ -15,10 +16,18 @@ from gymnasium.envs.registration import EnvSpec
 from hopper_page import hopper_page
 
 import imujoco_minari
+from imujoco_minari.envs import collection_spec, environment_spec, randomised_spec
 from imujoco_minari.errors import CatalogueError, ImujocoError, VariantError
 from imujoco_minari.publishing.publisher import publish
-from imujoco_minari.variants import Variant, adopt_page, carried_page, catalogue, known_robots
-from imujoco_minari.variants import robots as module
+from imujoco_minari.variants import (
+    Ranges,
+    Variant,
+    adopt_page,
+    carried_page,
+    catalogue,
+    forget_page,
+    known_robots,
+)
 from imujoco_minari.verification import verify
 
 PAGE = hopper_page(
@@ -38,9 +47,9 @@ held_out = [{ category = ["mass"] }]
 
 
 @pytest.fixture(autouse=True)
-def _forget_pages(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "_PAGES", dict(module._PAGES))
-    monkeypatch.setattr(module, "_CARRIED", dict(module._CARRIED))
+def _forget_pages() -> Iterator[None]:
+    yield
+    forget_page("strong")
 
 
 @pytest.fixture
@@ -140,6 +149,12 @@ def test_another_page_of_a_robot_is_refused(folder: Path) -> None:
         ("strong.toml", '"rooty"]', '"rootyaw"]', ["no joint 'rootyaw'", "rootx, rootz"]),
         ("strong.toml", "= 125", "= 50", ["steps_per_second = 50, but its environment has 125"]),
         ("strong.toml", "action_size = 3", "action_size = 4", ["action_size = 4, but its environment has 3"]),
+        ("strong.toml", "description", "describe", ["[splits.mass-v1] must hold description, held_out and"]),
+        ("strong.toml", "{ category", "{ categories", ["[splits.mass-v1] unknown rule 'categories'"]),
+        ("strong.toml", '["mass"]', '["maß"]', ["[splits.mass-v1] no variant follows"]),
+        ("strong.toml", '["mass"]', "3", ["[splits.mass-v1] held_out must be a list of rules"]),
+        ("strong.toml", '[{ category = ["mass"] }]', "3", ["held_out must be a list of rules"]),
+        ("strong.xml", '<include file="motors.xml"/>', "", ["action_size = 3, but its environment has 0"]),
         ("strong.xml", "motors.xml", "../motors.xml", ["'../motors.xml'", "outside its folder"]),
         ("strong.xml", "motors.xml", "/etc/passwd", ["'/etc/passwd'", "outside its folder"]),
         ("strong.xml", "motors.xml", "none.xml", ["none.xml", "cannot be read"]),
@@ -166,6 +181,47 @@ def test_what_is_wrong_is_named_in_one_line(
     # A page that was refused leaves nothing behind.
     with pytest.raises(VariantError, match="unknown robot"):
         Variant.parse("strong-base")
+
+
+def test_a_corrected_page_is_read_anew(folder: Path) -> None:
+    page, motors = folder / "strong.toml", folder / "motors.xml"
+    page.write_text(PAGE.replace("= 125", "= 50"))
+    with pytest.raises(CatalogueError, match="states steps_per_second = 50"):
+        imujoco_minari.load_catalogue(folder)
+    page.write_text(PAGE.replace("percents = [50]", "percents = [25]"))
+    motors.write_text(motors.read_text().replace('gear="250', 'gear="300'))
+    imujoco_minari.load_catalogue(folder)
+    env = imujoco_minari.make("strong-base").unwrapped
+    assert env.model.actuator_gear[:, 0].tolist() == [300, 200, 200]  # type: ignore[attr-defined]
+    assert 'gear="300' in env.mjcf  # type: ignore[attr-defined]
+    assert str(catalogue("strong")[0]) == "strong-massinc_25_torsogeom"
+    assert imujoco_minari.held_out("strong-mass-v1").test == ("strong-massinc_25_torsogeom",)
+
+
+def test_an_environment_with_a_wrong_page_leaves_nothing_behind(folder: Path) -> None:
+    imujoco_minari.load_catalogue(folder)
+    specs = (
+        environment_spec("strong-base"),
+        collection_spec("strong-mine", ["strong-base"]),
+        randomised_spec(Ranges("strong", {"mass/torsogeom": (-50, 50)})),
+    )
+    forget_page("strong")
+    for spec in specs:
+        spec.kwargs["page"]["toml"] = PAGE.replace("= 125", "= 50")
+        with pytest.raises(CatalogueError, match="states steps_per_second = 50"):
+            gym.make(spec)
+        assert "strong" not in known_robots()
+
+
+def test_an_interrupted_loading_leaves_nothing_behind(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(robot: str) -> None:
+        assert robot in known_robots()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("imujoco_minari.envs.mjcf.check_robot", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        imujoco_minari.load_catalogue(folder)
+    assert "strong" not in known_robots()
 
 
 def test_a_folder_without_pages_is_refused(tmp_path: Path) -> None:

@@ -25,6 +25,8 @@ BASE, LEG = "imujoco/hopper-base-random-v0", "imujoco/hopper-massdec_25_leggeom-
 RANKED, BOTH = "imujoco/hopper-base-ranked-v0", "imujoco/hopper-both-v0"
 OTHER = Variant.parse("hopper-massdec_25_leggeom")
 
+pytestmark = pytest.mark.usefixtures("checked_here")
+
 
 @pytest.fixture(scope="module")
 def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -221,7 +223,8 @@ def test_a_changed_meaning_is_found(published: Path, root: Path, kind: str) -> N
 def test_an_honest_dataset_has_no_exception(published: Path, root: Path) -> None:
     shutil.copytree(published, root)
     for name in (BASE, LEG, EXPERT, SAMPLED, RANKED, BOTH):
-        assert (verify(name), verify(name).exceptions) == ([], ())
+        findings = verify(name)
+        assert (findings, findings.exceptions) == ([], ())
 
 
 def test_an_unknown_policy_is_an_exception(published: Path, root: Path) -> None:

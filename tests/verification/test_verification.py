@@ -16,7 +16,7 @@ import h5py
 import numpy as np
 import pytest
 
-from imujoco_minari.errors import DatasetError, DatasetNotFoundError
+from imujoco_minari.errors import ArgumentError, DatasetError, DatasetNotFoundError
 from imujoco_minari.publishing.combiner import combine_datasets
 from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.storage import file_format, minari_root
@@ -86,9 +86,16 @@ class TestSound:
         shutil.copytree(data.parent, root / "imujoco/renamed-v0")
         assert "not 'imujoco/renamed-v0', its place" in str(verify("imujoco/renamed-v0", replay=False)[0])
 
-    def test_no_dataset(self) -> None:
-        with pytest.raises(DatasetNotFoundError, match="is not in the Minari root"):
-            verify(ID)
+    def test_no_dataset(self, data: Path, root: Path) -> None:
+        (root / "afile").touch()
+        for name in ("imujoco/none-v0", "afile/x-v0"):
+            with pytest.raises(DatasetNotFoundError, match=f"{name} is not in the Minari root"):
+                verify(name)
+
+    @pytest.mark.parametrize("jobs", ["2", 0, None])
+    def test_a_wrong_number_of_jobs(self, data: Path, jobs: Any) -> None:
+        with pytest.raises(ArgumentError, match="jobs must be a whole number of at least 1, not "):
+            verify(ID, jobs=jobs)
 
 
 class TestDamage:

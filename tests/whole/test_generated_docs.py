@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 from importlib.machinery import SourceFileLoader
 from importlib.util import module_from_spec, spec_from_loader
@@ -31,21 +30,26 @@ def generator() -> ModuleType:
     return module
 
 
-def test_every_page_is_current(generator: ModuleType) -> None:
-    pages = {name: write() for name, write in generator.PAGES.items()}
+@pytest.fixture(scope="module")
+def pages(generator: ModuleType) -> dict[str, str]:
+    """The pages as the script writes them now."""
+    return {name: write() for name, write in generator.PAGES.items()}
+
+
+def test_every_page_is_current(generator: ModuleType, pages: dict[str, str]) -> None:
     stale = [name for name, page in pages.items() if (generator.DOCS / name).read_text("utf-8") != page]
     assert len(pages) == 3
     assert stale == [], "run scripts/generate-docs"
 
 
-def test_every_shipped_expert_has_its_row(generator: ModuleType) -> None:
-    rows = [line for line in generator.experts_page().splitlines() if line.startswith("| `")]
+def test_every_shipped_expert_has_its_row(pages: dict[str, str]) -> None:
+    rows = [line for line in pages["experts.md"].splitlines() if line.startswith("| `")]
     shipped = {path.stem for path in shipped_folder().glob("*-*.json") if ".agent." not in path.name}
     assert {row.split("`")[1] for row in rows} == shipped
 
 
-def test_every_variant_has_its_row(generator: ModuleType) -> None:
-    rows = [line for line in generator.variants_page().splitlines() if line.startswith("| `")]
+def test_every_variant_has_its_row(pages: dict[str, str]) -> None:
+    rows = [line for line in pages["variants.md"].splitlines() if line.startswith("| `")]
     assert [row.split("`")[1] for row in rows] == [str(variant) for variant in catalogue()]
 
 
@@ -61,16 +65,20 @@ def test_the_references_of_the_bases_are_those_of_their_records(generator: Modul
         assert f"| `{base}` | {' | '.join(measured)} |\n" in page
 
 
-def test_a_stale_page_is_named(tmp_path: Path) -> None:
-    folder = tmp_path / "scripts"
-    folder.mkdir()
-    (tmp_path / "docs").mkdir()
-    (folder / SCRIPT.name).write_text(SCRIPT.read_text("utf-8"), "utf-8")
-    done = subprocess.run(
-        [sys.executable, str(folder / SCRIPT.name), "--check"], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 1
-    assert (
-        "not current: docs/variants.md, docs/cli.md, docs/experts.md; run scripts/generate-docs"
-        in done.stderr
+def test_a_stale_page_is_named(
+    generator: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(generator, "DOCS", tmp_path)
+    monkeypatch.setattr(generator, "PAGES", {f"{name}.md": lambda: "new" for name in "abc"})
+    monkeypatch.setattr(sys, "argv", [SCRIPT.name, "--check"])
+    (tmp_path / "a.md").write_text("old", "utf-8")
+    (tmp_path / "b.md").write_text("new", "utf-8")
+    with pytest.raises(SystemExit, match=r"^not current: docs/a\.md, docs/c\.md; run scripts/generate-docs$"):
+        generator.main()
+    assert (tmp_path / "a.md").read_text("utf-8") == "old"
+    assert not (tmp_path / "c.md").exists()
+    monkeypatch.setattr(sys, "argv", [SCRIPT.name])
+    generator.main()
+    assert {path.name: path.read_text("utf-8") for path in tmp_path.iterdir()} == dict.fromkeys(
+        generator.PAGES, "new"
     )

@@ -19,10 +19,10 @@ import numpy as np
 import pytest
 from processes import running
 
+from imujoco_minari.envs.registration import environment_spec
 from imujoco_minari.errors import PolicyError
 from imujoco_minari.publishing.collector import collect
 from imujoco_minari.storage import quiet_file, transactions
-from imujoco_minari.variants import Variant
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for orphans in /proc")
 
@@ -185,7 +185,7 @@ def test_a_policy_that_fails_leaves_no_interrupt_delayed(tmp_path: Path, default
             return rng.uniform(-1.0, 1.0, 3).astype(np.float32)
 
     with pytest.raises(PolicyError, match="no more"):
-        collect(Variant.parse("hopper-base"), Failing(), range(1000), 0, tmp_path / "data")
+        collect(environment_spec("hopper-base"), Failing(), range(1000), 0, tmp_path / "data")
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 

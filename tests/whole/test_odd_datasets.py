@@ -18,8 +18,6 @@ from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.storage import file_format
 from imujoco_minari.variants import Variant
-from imujoco_minari.verification import child_process
-from imujoco_minari.verification.check import check
 
 ODD, OTHER = "imujoco/hopper-base-random-v0", "imujoco/hopper-massdec_25_leggeom-random-v0"
 COMMANDS = {
@@ -142,6 +140,7 @@ CASES: dict[str, tuple[Callable[[Path], None], str, str]] = {
 }
 
 
+@pytest.mark.usefixtures("checked_here")
 @pytest.mark.parametrize("case", list(CASES))
 def test_one_line(
     case: str,
@@ -154,8 +153,6 @@ def test_one_line(
     change, command, message = CASES[case]
     shutil.copytree(published, root)
     monkeypatch.chdir(tmp_path)
-    # The child processes are tested with the verification.
-    monkeypatch.setattr(child_process, "check_apart", lambda data, metadata, jobs=1: check(data, metadata))
     change(root / ODD / "data")
     code = run(COMMANDS[command])
     shown = capsys.readouterr()

@@ -24,6 +24,8 @@ RANGES = Ranges("hopper", {"mass/torsogeom": (-50, 100), "friction/feet": (-50, 
 ID = "imujoco/hopper-randomised-random-v0"
 EPISODES = 6
 
+pytestmark = pytest.mark.usefixtures("checked_here")
+
 
 @pytest.fixture
 def data(root: Path) -> Path:

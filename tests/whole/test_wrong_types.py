@@ -36,9 +36,9 @@ CALLS: dict[str, tuple[Callable[[], object], str]] = {
     "publish_all": (lambda: list(publish_all([None])), "takes recipes"),  # type: ignore[list-item]
     "publish_all jobs": (lambda: list(publish_all([], jobs=0)), "jobs must be"),
     "Recipe": (lambda: Recipe("hopper-base"), "needs a Variant or Ranges, not str"),  # type: ignore[arg-type]
-    "combine nothing": (lambda: im.combine_datasets(None, "a/b-v0"), "a list .* not NoneType"),  # type: ignore[arg-type]
-    "combine one id": (lambda: im.combine_datasets(HOPPER, "a/b-v0"), "a list of datasets"),
-    "combine None": (lambda: im.combine_datasets([None], "a/b-v0"), "or its id, not NoneType"),  # type: ignore[list-item]
+    "combine nothing": (lambda: im.combine_datasets(None, "me/b-v0"), "a list .* not NoneType"),  # type: ignore[arg-type]
+    "combine one id": (lambda: im.combine_datasets(HOPPER, "me/b-v0"), "a list of datasets"),
+    "combine None": (lambda: im.combine_datasets([None], "me/b-v0"), "or its id, not NoneType"),  # type: ignore[list-item]
     "combine id": (lambda: im.combine_datasets([HOPPER], None), "malformed dataset id"),  # type: ignore[arg-type]
     "load_dataset": (lambda: im.load_dataset(None), "malformed dataset id"),  # type: ignore[arg-type]
     "arrays": (lambda: im.arrays(None), "not NoneType"),  # type: ignore[arg-type]
@@ -75,7 +75,7 @@ def test_a_wrong_type_is_named_in_one_line(name: str, small_datasets: list[str])
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("call", [im.arrays, im.verify, lambda name: im.combine_datasets([name], "a/b-v0")])
+@pytest.mark.parametrize("call", [im.arrays, im.verify, lambda name: im.combine_datasets([name], "me/b-v0")])
 def test_a_dataset_that_was_deleted_is_named(
     call: Callable[[Any], object], small_datasets: list[str], root: Path
 ) -> None:

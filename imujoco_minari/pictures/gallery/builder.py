@@ -15,10 +15,9 @@ from typing import Any
 
 from imujoco_minari.errors import ImujocoError, RenderingError, StorageError
 from imujoco_minari.pictures.gallery.clips import ClipMaker
-from imujoco_minari.pictures.gallery.entries import Clip, Entry, Score, Table, changes, scores
+from imujoco_minari.pictures.gallery.entries import Entry, ResultTable, changes, scores
 from imujoco_minari.pictures.gallery.pages import index_page, variant_page
 from imujoco_minari.pictures.rendering.files import check_format
-from imujoco_minari.policies.tiers import RANDOM
 from imujoco_minari.storage.files import write_text
 from imujoco_minari.variants import Variant, catalogue, known_robots
 
@@ -48,7 +47,7 @@ def build(
     folder: Path,
     variants: Sequence[Variant],
     *,
-    results: Mapping[str, Sequence[Table]] | None = None,
+    results: Mapping[str, Sequence[ResultTable]] | None = None,
     on_variant: Callable[[], None] | None = None,
 ) -> Built:
     """Build or update a site. It keeps its variants and gets ``variants`` and their base robots.
@@ -73,7 +72,7 @@ def build(
             known = state["variants"].setdefault(str(variant), {})
             try:
                 clip, key, new = maker.draw(variant, known)
-                entry = Entry(variant, changes(variant), scores(variant, _stored_random_score(known)), clip)
+                entry = Entry(variant, changes(variant), scores(variant), clip)
             except (RenderingError, StorageError):
                 # These errors would stop every variant.
                 raise
@@ -83,7 +82,7 @@ def build(
             else:
                 entries.append(entry)
                 drawn += new
-                _update_state(known, entry, clip, key)
+                known.update(key=key, clip=asdict(clip))
                 write_text(folder / STATE, json.dumps(state, indent=1) + "\n")
             if on_variant is not None:
                 on_variant()
@@ -96,7 +95,9 @@ def steps(folder: Path, variants: Sequence[Variant]) -> int:
     return len(_site_variants(variants, _read_state(folder)))
 
 
-def _write_pages(folder: Path, entries: Sequence[Entry], results: Mapping[str, Sequence[Table]]) -> None:
+def _write_pages(
+    folder: Path, entries: Sequence[Entry], results: Mapping[str, Sequence[ResultTable]]
+) -> None:
     by_robot = {entry.variant.robot: entry for entry in entries if entry.variant == entry.variant.base}
     for number, entry in enumerate(entries):
         neighbours = (
@@ -136,17 +137,6 @@ def _site_variants(variants: Sequence[Variant], state: dict[str, Any]) -> set[Va
     """Return ``variants``, their base robots and the variants that an earlier run has drawn."""
     drawn = (Variant.parse(name) for name, known in state["variants"].items() if known)
     return {*variants, *(variant.base for variant in variants), *drawn}
-
-
-def _stored_random_score(known: dict[str, Any]) -> Score | None:
-    return Score(**known["random"]) if "random" in known else None
-
-
-def _update_state(known: dict[str, Any], entry: Entry, clip: Clip, key: str) -> None:
-    known.update(key=key, clip=asdict(clip))
-    for score in entry.scores:
-        if score.tier == RANDOM:
-            known["random"] = asdict(score)
 
 
 def _sort_by_catalogue(variants: set[Variant]) -> list[Variant]:

@@ -19,7 +19,7 @@ from imujoco_minari.envs.mjcf import canonical_mjcf, compile_mjcf, mjcf_sha256
 from imujoco_minari.errors import PolicyNotFoundError
 from imujoco_minari.pictures.gallery.entries import Clip
 from imujoco_minari.pictures.rendering.files import write_picture, write_video
-from imujoco_minari.pictures.rendering.film import frames, pace
+from imujoco_minari.pictures.rendering.film import frames, stride
 from imujoco_minari.pictures.rendering.framing import Capsules, capsules, follow
 from imujoco_minari.pictures.rendering.motion import Motion, perform
 from imujoco_minari.pictures.rendering.portraits import stance
@@ -87,14 +87,14 @@ class ClipMaker:
         return self._studio
 
     def _write_clip(self, motion: Motion, path: Path) -> None:
-        tempo = pace([motion], FRAMES_PER_SECOND)
+        every = stride([motion], FRAMES_PER_SECOND)
         last = len(motion.rewards)
         rest = round(REST_SECONDS / motion.timestep) if motion.terminated else 0
-        steps = range(0, last + rest + 1, tempo.stride)
+        steps = range(0, last + rest + 1, every)
         write_video(
             path,
             frames([motion], self.studio, steps, captions=False),
-            tempo.per_second,
+            1.0 / (every * motion.timestep),
             quality=QUALITY,
         )
 

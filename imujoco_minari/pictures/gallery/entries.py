@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from imujoco_minari.envs.differences import Difference, differences
@@ -16,10 +15,12 @@ from imujoco_minari.policies import expert_record, random_policy
 from imujoco_minari.policies.evaluation import evaluate
 from imujoco_minari.policies.tiers import RANDOM
 from imujoco_minari.storage import file_format, minari_root
+from imujoco_minari.storage.metadata import read_metadata
+from imujoco_minari.storage.reader import EpisodeFile
 from imujoco_minari.variants import BASE, EXPERT, NAMESPACE, Variant, parse_dataset_id
 
 # Caption, columns and rows of a table of results.
-Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
+ResultTable = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 # A rough return is enough for a random policy. Records have a more exact one.
 RANDOM_EPISODES = 10
 
@@ -101,14 +102,10 @@ def changes(variant: Variant) -> tuple[Difference, ...]:
     return () if variant.category == BASE else tuple(differences(variant))
 
 
-def scores(variant: Variant, random: Score | None = None) -> tuple[Score, ...]:
+def scores(variant: Variant) -> tuple[Score, ...]:
     """Return the scores of a variant's tiers, highest first.
 
     They come from the expert's record, the published datasets and the random policy.
-
-    Args:
-        variant: the variant.
-        random: the random policy's score, if it was measured before.
     """
     record = expert_record(variant)
     found: dict[str, Score] = {}
@@ -118,8 +115,8 @@ def scores(variant: Variant, random: Score | None = None) -> tuple[Score, ...]:
         found.setdefault(score.tier, score)
     if "random" in record:
         found[RANDOM] = _score_from_evaluation(RANDOM, "uniform actions", record["random"])
-    else:
-        found.setdefault(RANDOM, random or measured_random(variant))
+    elif RANDOM not in found:
+        found[RANDOM] = measured_random(variant)
     return tuple(sorted(found.values(), key=lambda score: -score.return_mean))
 
 
@@ -140,7 +137,7 @@ def published_scores(variant: Variant) -> Iterator[Score]:
             # Skip a dataset that cannot be read. `imujoco verify` reports it.
             try:
                 yield _score_from_dataset(folder / "data", tier)
-            except (OSError, KeyError, ValueError):
+            except (OSError, KeyError, RuntimeError, TypeError, ValueError):
                 continue
 
 
@@ -158,15 +155,16 @@ def _score_from_evaluation(
     )
 
 
-def _score_from_dataset(data: Any, tier: str) -> Score:
-    metadata = json.loads((data / "metadata.json").read_text("utf-8"))
-    with h5py.File(file_format.main_file(data), "r") as file:
-        attributes = [file[name].attrs for name in file]
-        returns = np.array([attrs["rewards_sum"] for attrs in attributes])
-        lengths = np.array([attrs["total_steps"] for attrs in attributes])
+def _score_from_dataset(data: Path, tier: str) -> Score:
+    algorithm = str(read_metadata(data)["algorithm_name"])
+    names = ("rewards_sum", "total_steps")
+    with EpisodeFile(file_format.main_file(data), data.parent.name) as file:
+        episodes = [file.episode_attributes(number, names) for number in file.numbers()]
+    # A dataset without episodes has no columns, so this raises a ValueError.
+    returns, lengths = np.array([[episode[name] for name in names] for episode in episodes], float).T
     return Score(
         tier,
-        str(metadata.get("algorithm_name", "unknown")),
+        algorithm,
         float(returns.mean()),
         float(returns.std()),
         float(lengths.mean()),

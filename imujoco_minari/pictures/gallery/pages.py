@@ -11,7 +11,7 @@ from string import Template
 from imujoco_minari.envs.categories import BY_NAME
 from imujoco_minari.envs.differences import Difference
 from imujoco_minari.pictures.gallery.clips import SIZE
-from imujoco_minari.pictures.gallery.entries import Entry, Score, Table, normalised
+from imujoco_minari.pictures.gallery.entries import Entry, ResultTable, Score, normalised
 from imujoco_minari.policies.tiers import RANDOM
 from imujoco_minari.variants import BASE, CATEGORIES, COMPOUND, EXPERT, Variant, specification
 
@@ -27,7 +27,7 @@ def index_page(entries: Sequence[Entry]) -> str:
     shown = sorted({v.category for v in variants} - {BASE}, key=order.index)
     experts = sum(entry.best.tier == EXPERT for entry in entries)
     robots = list(dict.fromkeys(variant.robot for variant in variants))
-    titles = list(map(_title, robots))
+    titles = [specification(robot).title for robot in robots]
     base_of = {entry.variant: entry for entry in entries if entry.variant.category == BASE}
     return _load_template("index.html").substitute(
         count=f"{changed} of {changed} variants, {len(entries) - changed} of {len(entries) - changed} bases",
@@ -55,7 +55,7 @@ def variant_page(
     entry: Entry,
     base: Entry | None,
     neighbours: tuple[Variant | None, Variant | None],
-    results: Sequence[Table] = (),
+    results: Sequence[ResultTable] = (),
 ) -> str:
     """Return the page of one variant.
 
@@ -132,7 +132,7 @@ def snippets(entry: Entry) -> list[tuple[str, str, str]]:
 
 def _render_card(entry: Entry, base: Entry | None, number: int) -> str:
     variant, best = entry.variant, entry.best
-    title, share = _title(variant.robot), normalised(best, base)
+    title, share = specification(variant.robot).title, normalised(best, base)
     words = (
         " ".join((str(variant), title, variant.category, *variant.mjcf_names, short(variant)))
         .lower()
@@ -217,7 +217,7 @@ def _render_scores(entry: Entry, base: Entry | None) -> str:
     return _render_table("Policies and returns", columns, rows, text=("Policy", "From", "Dataset"))
 
 
-def _render_results(tables: Sequence[Table]) -> str:
+def _render_results(tables: Sequence[ResultTable]) -> str:
     if not tables:
         return ""
     rendered = (
@@ -341,10 +341,6 @@ def _format_normalised(share: float | None) -> str:
 
 def _format_significant(value: float) -> str:
     return f"{value:.5g}".replace("-", MINUS)
-
-
-def _title(robot: str) -> str:
-    return specification(robot).title
 
 
 def _load_template(name: str) -> Template:

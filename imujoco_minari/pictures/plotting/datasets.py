@@ -43,14 +43,14 @@ class Series:
     """One dataset to draw.
 
     Attributes:
-        label: id of the dataset without namespace and version.
+        dataset_id: id of the dataset.
         robot: name of the robot.
         tiers: tiers of its episodes.
         is_base: whether all episodes are of the unchanged robot.
         data: arrays of the dataset.
     """
 
-    label: str
+    dataset_id: str
     robot: str
     tiers: tuple[str, ...]
     is_base: bool
@@ -72,7 +72,7 @@ def load_series(dataset_id: str) -> Series:
         if not np.isfinite(getattr(data, name)).all():
             raise DatasetError(f"{dataset_id} cannot be drawn: its {name} hold NaN or infinity")
     return Series(
-        _label(dataset_id),
+        dataset_id,
         robots[0],
         tuple(sorted({origin.tier for origin in data.table})),
         all(origin.category == BASE for origin in data.table),
@@ -85,14 +85,22 @@ def with_bases(series: Sequence[Series]) -> tuple[list[Series], list[str]]:
     wanted = dict.fromkeys(
         Variant(one.robot).dataset_id(tier) for one in series if not one.is_base for tier in one.tiers
     )
-    labels = {one.label for one in series}
-    bases = [name for name in wanted if _label(name) not in labels]
-    present = [name for name in bases if minari_root.exists(name)]
+    names = {_name(one.dataset_id) for one in series}
+    bases = [base for base in wanted if _name(base) not in names]
+    present = [base for base in bases if minari_root.exists(base)]
     ordered = sorted([*map(load_series, present), *series], key=lambda one: not one.is_base)
-    return ordered, [name for name in bases if name not in present]
+    return ordered, [base for base in bases if base not in present]
 
 
-def _label(dataset_id: str) -> str:
+def labels(series: Sequence[Series]) -> list[str]:
+    """Return the names of datasets, or the whole ids of those that have the same name."""
+    names = [_name(one.dataset_id) for one in series]
+    return [
+        name if names.count(name) == 1 else one.dataset_id for name, one in zip(names, series, strict=True)
+    ]
+
+
+def _name(dataset_id: str) -> str:
     """Return a dataset id without namespace and version."""
     return dataset_id.rpartition("/")[2].rpartition("-v")[0]
 
@@ -177,9 +185,11 @@ def _draw_rows(series: Sequence[Series], values: Sequence[Array], title: str, un
             low, middle, high = np.percentile(numbers, (25, 50, 75))
             axes.plot((low, high), (row, row), color=colour, linewidth=5, solid_capstyle="butt", alpha=0.7)
             axes.plot(middle, row, "o", color="white", markeredgecolor="black", markersize=6)
-        axes.set_yticks(range(len(series)), [f"{one.label}  (n = {one.data.episodes})" for one in series])
+        rows = zip(labels(series), series, strict=True)
+        axes.set_yticks(range(len(series)), [f"{label}  (n = {one.data.episodes})" for label, one in rows])
         axes.set_ylim(len(series) - 0.5, -0.5)
-        axes.set_xlabel(f"{unit}; circle: median, bar: quartiles")
+        # Beside long names the axes are narrower than this label.
+        axes.set_xlabel(f"{unit}; circle: median, bar: quartiles", loc="right")
         axes.grid(axis="x", color="#e3e7eb", linewidth=0.8)
         axes.set_axisbelow(True)
     return figure
@@ -202,8 +212,8 @@ def _draw_distributions(
                 axes.set_ylabel("share of steps (%)" if place % across == 0 else "")
             else:
                 axes.set_visible(False)
-        handles, labels = grid.flat[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower left", ncols=2)
+        handles, names = grid.flat[0].get_legend_handles_labels()
+        figure.legend(handles, names, loc="outside lower left", ncols=2)
     return figure
 
 
@@ -213,12 +223,13 @@ def _draw_distribution(axes: Axes, series: Sequence[Series], values: Sequence[Ar
     if low == high:
         low, high = low - 0.5, high + 0.5
     edges = np.linspace(low, high, BINS + 1)
-    for one, numbers, style in zip(series, values, _line_styles(series), strict=True):
+    drawn = zip(series, labels(series), values, _line_styles(series), strict=True)
+    for one, label, numbers, style in drawn:
         # Values outside the bins count in the first or last bin, so no step is hidden.
         counts, _ = np.histogram(np.clip(numbers.astype(np.float64), low, high), edges)
         share = 100.0 * counts / len(numbers)
         if one.is_base:
-            axes.stairs(share, edges, fill=True, color=BASE_FILL, label=one.label)
+            axes.stairs(share, edges, fill=True, color=BASE_FILL, label=label)
         else:
-            axes.stairs(share, edges, label=one.label, linewidth=1.2, **style)
+            axes.stairs(share, edges, label=label, linewidth=1.2, **style)
     axes.set_xlim(low, high)

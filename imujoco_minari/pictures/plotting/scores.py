@@ -1,10 +1,10 @@
-"""Scores of several methods: curves with bands of uncertainty, and bars with whiskers."""
+"""Scores of several methods: curves with bands of uncertainty, or bars with whiskers."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -16,6 +16,10 @@ from imujoco_minari.pictures.plotting.style import (
     save,
     settings,
 )
+from imujoco_minari.policies import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 # Score, lower and upper end of its interval; None where there is none.
 Interval: TypeAlias = "tuple[float, float, float] | None"
@@ -26,11 +30,13 @@ Panels: TypeAlias = Mapping[str, Mapping[str, Sequence[Interval]]]
 WIDTH, HEIGHT, SIDE = 2.9, 2.9, 1.7
 
 
-def plot_curves(panels: Panels, ticks: Sequence[str], labels: tuple[str, str, str], stem: Path) -> list[Path]:
-    """Draw a curve for each method over the ticks, in a panel for each title; write PNG and SVG.
+def plot_scores(panels: Panels, ticks: Sequence[str], labels: tuple[str, str, str], stem: Path) -> list[Path]:
+    """Draw the scores of each method at the ticks, in a panel for each title; write PNG and SVG.
+
+    They are curves with bands if the x axis has a label, or else bars with whiskers.
 
     Args:
-        panels: the intervals; a method whose label begins with ``bound`` is drawn in grey.
+        panels: the intervals; a curve whose label begins with ``bound`` is grey.
         ticks: labels of the places on the x axis.
         labels: title of the figure, label of the x axis and of the y axis.
         stem: the files' path without ending.
@@ -43,26 +49,19 @@ def plot_curves(panels: Panels, ticks: Sequence[str], labels: tuple[str, str, st
         StorageError: if a file cannot be written.
     """
     title, x_label, y_label = labels
+    draw = _draw_curve if x_label else _draw_bars
+    names = list(ticks) if x_label else [tick.replace("-", "-\n", 1) for tick in ticks]
     figure = new_figure(SIDE + WIDTH * max(len(panels), 1.4), HEIGHT, title)
-    methods = _methods(panels)
-    coloured = [method for method in methods if not method.startswith("bound")]
-    bounds = [method for method in methods if method.startswith("bound")]
+    methods = list(dict.fromkeys(method for scores in panels.values() for method in scores))
     with settings():
         row = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
-        for axes, (name, curves) in zip(row, panels.items(), strict=True):
-            for method, intervals in curves.items():
-                style = (
-                    {**line_style(coloured.index(method)), "marker": "o", "markersize": 3.5}
-                    if method in coloured
-                    else {"color": BASE_EDGE, "linestyle": line_style(1 + bounds.index(method))["linestyle"]}
-                )
+        for axes, (name, scores) in zip(row, panels.items(), strict=True):
+            for method, intervals in scores.items():
                 found = [(x, *interval) for x, interval in enumerate(intervals) if interval is not None]
-                x, middle, low, high = np.array(found, float).reshape(-1, 4).T
-                axes.plot(x, middle, label=method, **style)
-                axes.fill_between(x, low, high, color=style["color"], alpha=0.18, linewidth=0)
+                draw(axes, method, methods, np.array(found, float).reshape(-1, 4).T)
             axes.axhline(1.0, color=BASE_FILL, linewidth=0.8, zorder=0)
             axes.set_title(name, loc="left")
-            axes.set_xticks(range(len(ticks)), list(ticks))
+            axes.set_xticks(range(len(ticks)), names)
             axes.set_xlabel(x_label)
         row[0].set_ylabel(y_label)
         handles = {
@@ -74,45 +73,20 @@ def plot_curves(panels: Panels, ticks: Sequence[str], labels: tuple[str, str, st
     return save(figure, stem)
 
 
-def plot_bars(panels: Panels, ticks: Sequence[str], labels: tuple[str, str], stem: Path) -> list[Path]:
-    """Draw a bar with a whisker for each method at each tick, in a panel for each title; write PNG and SVG.
-
-    Args:
-        panels: the intervals.
-        ticks: labels of the groups of bars.
-        labels: title of the figure and label of the y axis.
-        stem: the files' path without ending.
-
-    Returns:
-        The files.
-
-    Raises:
-        DependencyError: if matplotlib is not installed.
-        StorageError: if a file cannot be written.
-    """
-    title, y_label = labels
-    figure = new_figure(SIDE + WIDTH * max(len(panels), 1.4), HEIGHT, title)
-    methods = _methods(panels)
-    width = 0.8 / len(methods)
-    with settings():
-        row = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
-        for axes, (name, bars) in zip(row, panels.items(), strict=True):
-            for method, intervals in bars.items():
-                place = methods.index(method)
-                found = [(x, *interval) for x, interval in enumerate(intervals) if interval is not None]
-                x, middle, low, high = np.array(found, float).reshape(-1, 4).T
-                x += (place - (len(methods) - 1) / 2) * width
-                axes.bar(x, middle, 0.9 * width, color=line_style(place)["color"], label=method)
-                whiskers = np.maximum([middle - low, high - middle], 0.0)
-                axes.errorbar(x, middle, whiskers, fmt="none", ecolor="black", elinewidth=0.8)
-            axes.axhline(1.0, color=BASE_FILL, linewidth=0.8, zorder=0)
-            axes.set_title(name, loc="left")
-            axes.set_xticks(range(len(ticks)), [tick.replace("-", "-\n", 1) for tick in ticks])
-        row[0].set_ylabel(y_label)
-        handles, found_labels = row[0].get_legend_handles_labels()
-        figure.legend(handles, found_labels, loc="outside right center")
-    return save(figure, stem)
+def _draw_curve(axes: Axes, method: str, methods: Sequence[str], points: Array) -> None:
+    # The bounds are numbered apart from the methods. They are grey lines with dashes.
+    bound = method.startswith("bound")
+    place = [other for other in methods if other.startswith("bound") == bound].index(method)
+    style = line_style(place + 1) | {"color": BASE_EDGE} if bound else line_style(place)
+    x, middle, low, high = points
+    axes.plot(x, middle, label=method, marker="" if bound else "o", markersize=3.5, **style)
+    axes.fill_between(x, low, high, color=style["color"], alpha=0.18, linewidth=0)
 
 
-def _methods(panels: Panels) -> list[str]:
-    return list(dict.fromkeys(method for curves in panels.values() for method in curves))
+def _draw_bars(axes: Axes, method: str, methods: Sequence[str], points: Array) -> None:
+    place, width = methods.index(method), 0.8 / len(methods)
+    x, middle, low, high = points
+    x = x + (place - (len(methods) - 1) / 2) * width
+    axes.bar(x, middle, 0.9 * width, color=line_style(place)["color"], label=method)
+    whiskers = np.maximum([middle - low, high - middle], 0.0)
+    axes.errorbar(x, middle, whiskers, fmt="none", ecolor="black", elinewidth=0.8)

@@ -1,8 +1,7 @@
 """Pictures and videos of variants, drawn off-screen.
 
-:mod:`~imujoco_minari.pictures.rendering.motion` and ``recorded`` compute the motion, ``framing`` places the
-camera, ``scene`` sets colours and lights, ``studio`` draws, ``film`` arranges the pictures and
-``files`` writes them.
+:mod:`~imujoco_minari.pictures.rendering.motion` computes the motion, ``framing`` places the camera, ``scene``
+sets colours and lights, ``studio`` draws, ``film`` arranges the pictures and ``files`` writes them.
 """
 
 from __future__ import annotations
@@ -11,9 +10,14 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from imujoco_minari.pictures.rendering.files import check_format, write_picture, write_video
-from imujoco_minari.pictures.rendering.film import FRAMES_PER_SECOND, contact_sheet, frames, pace, sheet_steps
-from imujoco_minari.pictures.rendering.motion import Motion, perform
-from imujoco_minari.pictures.rendering.recorded import replay
+from imujoco_minari.pictures.rendering.film import (
+    FRAMES_PER_SECOND,
+    contact_sheet,
+    frames,
+    sheet_steps,
+    stride,
+)
+from imujoco_minari.pictures.rendering.motion import Motion, perform, replay
 from imujoco_minari.pictures.rendering.studio import Studio
 
 __all__ = ["Motion", "Studio", "frame_steps", "perform", "render_motions", "replay"]
@@ -30,7 +34,7 @@ def frame_steps(motions: Sequence[Motion], path: Path, *, sheet: bool = False) -
         return sheet_steps(longest)
     if ending == ".png":
         return [(longest - 1) // 2]
-    return list(range(0, longest, pace(motions, _frame_rate(path)).stride))
+    return list(range(0, longest, stride(motions, _frame_rate(path))))
 
 
 def render_motions(
@@ -64,7 +68,8 @@ def render_motions(
     with Studio(*size) as studio:
         pictures = frames(motions, studio, steps, on_frame=on_frame)
         if path.suffix.lower() != ".png":
-            write_video(path, pictures, pace(motions, _frame_rate(path)).per_second)
+            frame_seconds = stride(motions, _frame_rate(path)) * motions[0].timestep
+            write_video(path, pictures, 1.0 / frame_seconds)
         elif sheet:
             write_picture(path, contact_sheet(list(pictures)))
         else:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from itertools import repeat
 from typing import Any
@@ -20,30 +19,17 @@ from imujoco_minari.variants import Variant, specification
 
 FRAMES_PER_SECOND = 25.0
 INK, FAINT, PAPER = (28, 32, 38), (96, 104, 114), (255, 255, 255)
-# The gap between two panels in pixels, and the heights of caption and text as shares of a panel's height.
-GAP, CAPTION, TEXT = 4, 0.125, 0.045
+# The gap between two panels in pixels. It is twice as wide between the pictures of a sheet.
+GAP = 4
+# The heights of caption and text as shares of a panel's height.
+CAPTION, TEXT = 0.125, 0.045
 # Number of pictures on a contact sheet.
 SHEET = 12
 
 
-@dataclass(frozen=True)
-class Pace:
-    """The frame rate of a motion in real time: every ``stride``-th step is a frame.
-
-    Attributes:
-        stride: environment steps between two frames.
-        per_second: frames per second.
-    """
-
-    stride: int
-    per_second: float
-
-
-def pace(motions: Sequence[Motion], per_second: float = FRAMES_PER_SECOND) -> Pace:
-    """Return the real-time pace that is nearest to ``per_second`` frames per second."""
-    timestep = motions[0].timestep
-    stride = max(1, round(1.0 / (per_second * timestep)))
-    return Pace(stride, 1.0 / (stride * timestep))
+def stride(motions: Sequence[Motion], per_second: float = FRAMES_PER_SECOND) -> int:
+    """Return the steps between two frames, for about ``per_second`` frames a second in real time."""
+    return max(1, round(1.0 / (per_second * motions[0].timestep)))
 
 
 def cameras(motions: Sequence[Motion], studio: Studio) -> list[Camera]:
@@ -76,7 +62,7 @@ def frames(
         for motion, camera in zip(motions, cameras(motions, studio), strict=True)
     ]
     for pictures in zip(*panels, strict=True):
-        picture = _join_side_by_side(pictures)
+        picture = grid(pictures, len(pictures), GAP)
         if on_frame is not None:
             on_frame()
         yield picture
@@ -93,13 +79,19 @@ def contact_sheet(pictures: Sequence[Image.Image]) -> Image.Image:
     return grid(pictures, 2 if wide else 4)
 
 
-def grid(pictures: Sequence[Image.Image], columns: int) -> Image.Image:
-    """Return one picture with pictures of equal size in rows of ``columns``, on white."""
+def grid(pictures: Sequence[Image.Image], columns: int, gap: int = 2 * GAP) -> Image.Image:
+    """Return one picture with pictures of equal size in rows of ``columns``, on white.
+
+    Args:
+        pictures: the pictures.
+        columns: number of pictures in a row.
+        gap: pixels between two pictures.
+    """
     columns = min(columns, len(pictures))
     rows = -(-len(pictures) // columns)
     width, height = pictures[0].size
-    pitch = width + 2 * GAP, height + 2 * GAP
-    whole = Image.new("RGB", (columns * pitch[0] - 2 * GAP, rows * pitch[1] - 2 * GAP), PAPER)
+    pitch = width + gap, height + gap
+    whole = Image.new("RGB", (columns * pitch[0] - gap, rows * pitch[1] - gap), PAPER)
     for number, picture in enumerate(pictures):
         whole.paste(picture, (number % columns * pitch[0], number // columns * pitch[1]))
     return whole
@@ -177,7 +169,7 @@ def captioned(picture: Image.Image, variant: Variant, title: str = "", state: st
 def _fitting_size(text: str, size: float, room: float) -> float:
     """Return a size of the font, or a smaller one if the text is wider than ``room`` pixels."""
     width = _width(text, size)
-    return size if width <= room or room <= 0 else max(6.0, size * room / width)
+    return size if width <= room or room <= 0 else min(size, max(6.0, size * room / width))
 
 
 # The captions of a motion's frames differ in one text only.
@@ -189,15 +181,3 @@ def _width(text: str, size: float) -> float:
 @lru_cache(maxsize=16)
 def _font(size: float) -> Any:
     return ImageFont.load_default(size)
-
-
-def _join_side_by_side(pictures: Sequence[Image.Image]) -> Image.Image:
-    if len(pictures) == 1:
-        return pictures[0]
-    width = sum(picture.width for picture in pictures) + GAP * (len(pictures) - 1)
-    whole = Image.new("RGB", (width, pictures[0].height), PAPER)
-    left = 0
-    for picture in pictures:
-        whole.paste(picture, (left, 0))
-        left += picture.width + GAP
-    return whole

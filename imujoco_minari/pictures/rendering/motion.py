@@ -1,22 +1,32 @@
-"""Motions: the positions of a robot during an episode.
+"""Motions: the positions of a robot during an episode, under a policy or as a dataset recorded it.
 
-They come from the variant's own environment. Rendering does not simulate anything.
+They come from the variant's own environment. A recorded episode is reset with its seed and stepped by its
+actions, as verification does. Imported episodes have no seeds. Their observations hold all positions but the
+distance run, which is the sum of the recorded velocities.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, replace
+from math import inf
+from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
+import h5py
 import numpy as np
 
-from imujoco_minari.envs.mjcf import Floats
+from imujoco_minari.envs.mjcf import Floats, compile_mjcf, model_text
 from imujoco_minari.envs.registration import make
-from imujoco_minari.policies import Policy
-from imujoco_minari.policies.rollouts import roll_out
-from imujoco_minari.variants import Variant
+from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError
+from imujoco_minari.policies import Array, Policy
+from imujoco_minari.storage import containment, file_format, minari_root
+from imujoco_minari.storage.metadata import read_metadata
+from imujoco_minari.storage.missing import not_in_root
+from imujoco_minari.variants import Variant, specification
+from imujoco_minari.variants.original import variant_of
+from imujoco_minari.verification.identity import dataset_models
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +42,7 @@ class Motion:
         title: the policy or the recorded episode, in a few words.
         divergence: of a replay, the largest difference from a recorded observation; 0 when exact.
         mjcf: the text of the model, for a variant of the original archive.
+        tier: of a recorded episode, the tier of the policy that moved it; empty for others.
     """
 
     variant: Variant
@@ -39,9 +50,10 @@ class Motion:
     rewards: Floats
     timestep: float
     terminated: bool
-    title: str
+    title: str = ""
     divergence: float = 0.0
     mjcf: str | None = None
+    tier: str = ""
 
     @property
     def duration(self) -> float:
@@ -63,46 +75,6 @@ class Motion:
         )
 
 
-class PositionRecorder(gym.Wrapper[Any, Any, Any, Any]):
-    """A wrapper that records the positions, the rewards and the termination of the present episode."""
-
-    def __init__(self, env: gym.Env[Any, Any]) -> None:
-        super().__init__(env)
-        self.positions: list[Floats] = []
-        self.rewards: list[float] = []
-        self.terminated = False
-
-    def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode and discard the previous one."""
-        result = self.env.reset(**kwargs)
-        self.positions, self.rewards, self.terminated = [self._position()], [], False
-        return result
-
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step the environment and record the new position."""
-        result = self.env.step(action)
-        self.positions.append(self._position())
-        self.rewards.append(float(result[1]))
-        self.terminated = bool(result[2])
-        return result
-
-    def motion(self, variant: Variant, title: str, divergence: float = 0.0) -> Motion:
-        """Return the motion of the present episode."""
-        return Motion(
-            variant,
-            np.array(self.positions),
-            np.array(self.rewards),
-            float(self.unwrapped.dt),  # type: ignore[attr-defined]
-            self.terminated,
-            title,
-            divergence,
-            self.unwrapped.mjcf,  # type: ignore[attr-defined]
-        )
-
-    def _position(self) -> Floats:
-        return np.array(self.unwrapped.data.qpos)  # type: ignore[attr-defined]
-
-
 def perform(
     variant: Variant, policy: Policy, *, seed: int = 0, seconds: float | None = None, title: str = ""
 ) -> Motion:
@@ -115,6 +87,109 @@ def perform(
         seconds: maximal length in simulated seconds; None for a complete episode.
         title: title of the motion; empty for the policy's algorithm.
     """
-    with closing(PositionRecorder(make(variant))) as recorder:
-        roll_out(recorder, policy, seed)
-        return recorder.motion(variant, title or f"{policy.algorithm} policy").until(seconds)
+    rng = np.random.default_rng(seed)
+    motion, _ = _simulate(variant, seed, lambda observation: policy.act(observation, rng))
+    return replace(motion, title=title or f"{policy.algorithm} policy").until(seconds)
+
+
+def replay(dataset_id: str, episode: int = 0) -> Motion:
+    """Return the motion of a recorded episode of a dataset of this package.
+
+    Args:
+        dataset_id: id of a dataset or a collection of the Minari root.
+        episode: number of the episode.
+
+    Raises:
+        DatasetNotFoundError: if there is no such dataset or episode.
+        DatasetError: if the episode cannot be read, or its variant is from the original's archive.
+    """
+    path = file_format.main_file(minari_root.dataset_folder(dataset_id) / "data")
+    if not path.is_file():
+        raise not_in_root(dataset_id)
+    try:
+        variant, mjcf, tier, seed, arrays = _read(path, dataset_id, episode)
+    except ImujocoError:
+        raise
+    except (OSError, KeyError, RuntimeError, TypeError, ValueError, AttributeError) as error:
+        raise DatasetError(f"{dataset_id}: episode {episode} cannot be read: {error}") from None
+    title = f"{tier}, episode {episode}"
+    if seed is None:
+        return replace(_as_observed(variant, mjcf, arrays), title=f"{title}, as observed", tier=tier)
+    actions = iter(arrays["actions"])
+    motion, observations = _simulate(variant, seed, lambda _: next(actions), len(arrays["actions"]), mjcf)
+    # The replay may end before the recording.
+    differences = np.abs(observations - arrays["observations"][: len(observations)])
+    return replace(motion, title=title, divergence=float(differences.max()), tier=tier)
+
+
+def _simulate(
+    variant: Variant,
+    seed: int,
+    act: Callable[[Array], Array],
+    steps: float = inf,
+    mjcf: str | None = None,
+) -> tuple[Motion, Array]:
+    """Run an episode to its end, or for ``steps`` steps; return its motion and its observations."""
+    with closing(make(variant, mjcf)) as env:
+        robot: Any = env.unwrapped
+        observations = [env.reset(seed=seed)[0]]
+        positions = [np.array(robot.data.qpos)]
+        rewards: list[float] = []
+        terminated = truncated = False
+        while len(rewards) < steps and not (terminated or truncated):
+            observation, reward, terminated, truncated, _ = env.step(act(observations[-1]))
+            observations.append(observation)
+            positions.append(np.array(robot.data.qpos))
+            rewards.append(float(reward))
+        motion = Motion(
+            variant,
+            np.array(positions),
+            np.array(rewards),
+            float(robot.dt),
+            bool(terminated),
+            mjcf=robot.mjcf,
+        )
+    return motion, np.array(observations)
+
+
+def _as_observed(variant: Variant, mjcf: str | None, arrays: dict[str, Array]) -> Motion:
+    """Return the motion of an episode whose seed is not known, from its observations."""
+    with closing(make(variant, mjcf)) as env:
+        step = float(env.unwrapped.dt)  # type: ignore[attr-defined]
+    # The positions that are not observed are the distances run: forward, and for some robots sideways.
+    others = specification(variant.robot).observed_positions
+    hidden = compile_mjcf(model_text(variant, mjcf)).nq - others
+    observations = arrays["observations"]
+    velocities = observations[1:, others : others + hidden]
+    run = np.concatenate([np.zeros((1, hidden)), np.cumsum(velocities, axis=0) * step])
+    positions = np.column_stack([run, observations[:, :others]]).astype(np.float64)
+    terminated = bool(arrays["terminations"][-1])
+    return Motion(variant, positions, arrays["rewards"], step, terminated, mjcf=mjcf)
+
+
+def _read(
+    path: Path, dataset_id: str, episode: int
+) -> tuple[Variant, str | None, str, int | None, dict[str, Array]]:
+    """Return the variant of an episode, the text of its model, its tier, its seed, and its arrays.
+
+    The text is None if the model follows from the id. The seed is None if it is not known.
+    """
+    with h5py.File(path, "r") as file:
+        if not 0 <= episode < len(file):
+            raise DatasetNotFoundError(f"{dataset_id} has no episode {episode}; valid: 0 to {len(file) - 1}")
+        containment.check_episode(file, episode, path.parent)
+        group = file[file_format.episode_name(episode)]
+        attributes = dict(group.attrs)
+        arrays = {key: group[key][()] for key in file_format.ARRAYS}
+    # This makes a user's robot known. So it comes before the variant and its specification.
+    models = dataset_models(read_metadata(path.parent))
+    variant = variant_of(attributes)
+    seed = int(attributes["seed"]) if bool(attributes.get(file_format.REPLAYABLE, True)) else None
+    if seed is not None and seed < 0:
+        raise ValueError(f"its seed is {seed}")
+    steps, (observation, action) = len(arrays["actions"]), specification(variant.robot).sizes
+    shapes = {"observations": (steps + 1, observation), "actions": (steps, action)}
+    for key, array in arrays.items():
+        if not steps or array.shape != shapes.get(key, (steps,)):
+            raise ValueError(f"its {key} have shape {array.shape}")
+    return variant, models.get(str(variant)), str(attributes.get("tier", "")), seed, arrays

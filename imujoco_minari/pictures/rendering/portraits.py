@@ -1,17 +1,12 @@
-"""Portraits: pictures of variants that stand in the same stance, for comparison."""
+"""The stance of a portrait: all variants of a robot stand alike, for comparison."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import mujoco
 import numpy as np
-from PIL import Image
 
 from imujoco_minari.envs.mjcf import canonical_mjcf, compile_mjcf
-from imujoco_minari.pictures.rendering.film import captioned, grid
-from imujoco_minari.pictures.rendering.framing import capsules, follow
-from imujoco_minari.pictures.rendering.studio import Studio
+from imujoco_minari.pictures.rendering.framing import capsules
 from imujoco_minari.variants import Variant, specification
 
 
@@ -42,33 +37,3 @@ def _height_index(model: mujoco.MjModel) -> int | None:
         if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE and model.jnt_axis[joint][2] == 1.0:
             return int(model.jnt_qposadr[joint])
     return None
-
-
-def portraits(variants: Sequence[Variant], studio: Studio) -> list[Image.Image]:
-    """Return a portrait of each variant. The cameras have the same distance."""
-    positions = [stance(variant) for variant in variants]
-    seen = [
-        capsules(studio.model(variant), position[None])
-        for variant, position in zip(variants, positions, strict=True)
-    ]
-    cameras = follow(seen, studio.aspect, 1.0)
-    return [
-        Image.fromarray(np.ascontiguousarray(next(studio.shoot(variant, [position], camera))))
-        for variant, position, camera in zip(variants, positions, cameras, strict=True)
-    ]
-
-
-def poster(rows: Sequence[Sequence[Variant]], size: tuple[int, int]) -> Image.Image:
-    """Return one picture with rows of captioned variants. Each row has its own camera distance.
-
-    Args:
-        rows: rows of variants, each row of one robot.
-        size: width and height of a portrait, in pixels.
-    """
-    with Studio(*size) as studio:
-        cells = [
-            captioned(picture, variant)
-            for row in rows
-            for variant, picture in zip(row, portraits(row, studio), strict=True)
-        ]
-    return grid(cells, len(rows[0]))

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from imujoco_minari.errors import PolicyNotFoundError, RenderingError
-from imujoco_minari.pictures.rendering.motion import Motion, perform
-from imujoco_minari.pictures.rendering.recorded import read_recorded, replay
+from imujoco_minari.pictures.rendering.motion import Motion, perform, replay
 from imujoco_minari.policies import load_policy
 from imujoco_minari.storage import minari_root
 from imujoco_minari.variants import Variant
@@ -59,14 +58,13 @@ def of_dataset(
         DatasetNotFoundError: if there is no such dataset or episode.
         RenderingError: if the base robot has neither a dataset nor a policy of the tier.
     """
-    recorded = read_recorded(dataset_id, episode)
-    motions = [recorded.motion().until(seconds)]
-    variant, tier = recorded.variant, recorded.tier
+    motion = replay(dataset_id, episode).until(seconds)
+    variant, tier = motion.variant, motion.tier
     if not beside_base or variant == variant.base:
-        return motions
+        return [motion]
     base = variant.base.dataset_id(tier)
     if minari_root.exists(base):
-        return [replay(base, episode).until(seconds), *motions]
+        return [replay(base, episode).until(seconds), motion]
     try:
         policy = load_policy(variant.base, tier=tier)
     except PolicyNotFoundError:
@@ -74,4 +72,4 @@ def of_dataset(
             f"{variant.base} has no dataset and no policy of the tier {tier}: publish {base}, "
             "or leave out --beside-base"
         ) from None
-    return [perform(variant.base, policy, seed=episode, seconds=seconds, title=f"{tier} policy"), *motions]
+    return [perform(variant.base, policy, seed=episode, seconds=seconds, title=f"{tier} policy"), motion]
