@@ -17,7 +17,7 @@ copyright = "the imujoco_minari authors, Apache-2.0"
 version = release = installed("imujoco-minari")
 
 extensions = ["myst_parser", "sphinx_copybutton", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
-exclude_patterns = ["_build"]
+exclude_patterns = ["_build", "results/*"]
 nitpicky = True
 # Names of other libraries. Links to them would need the network.
 nitpick_ignore_regex = [
