@@ -39,6 +39,8 @@ class EpisodeFile:
         self._types: dict[np.dtype[Any], h5py.h5t.TypeID] = {}
         self._files: dict[Path, h5py.File] = {}
         self._followed: containment.Followed = {}
+        # Episodes whose links were checked. Most are opened twice, for their length and for their arrays.
+        self._checked: set[int] = set()
         self._data = path.absolute().parent
         self._file = self._open_file(path.absolute())
 
@@ -125,7 +127,9 @@ class EpisodeFile:
             group = h5py.h5g.open(file.id, name)
         except (KeyError, ValueError):
             raise DatasetError(f"{self.name}: episode {episode} is not a group of {file.filename}") from None
-        containment.check_links(group, f"{self.name}: episode {episode}: ")
+        if episode not in self._checked:
+            containment.check_links(group, f"{self.name}: episode {episode}: ")
+            self._checked.add(episode)
         return group
 
     def _open_file(self, path: Path) -> h5py.File:

@@ -221,7 +221,8 @@ def _render_results(tables: Sequence[ResultTable]) -> str:
     if not tables:
         return ""
     rendered = (
-        _render_table(escape(caption), list(map(escape, columns)), [list(map(escape, row)) for row in rows])
+        f"<h3>{escape(caption)}</h3>"
+        + _render_table(escape(caption), list(map(escape, columns)), [list(map(escape, row)) for row in rows])
         for caption, columns, rows in tables
     )
     return (
