@@ -6,12 +6,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from operator import itemgetter
+from pathlib import Path
 
-from imujoco_minari.benchmark import protocol
-from imujoco_minari.benchmark.lines import Line
+from imujoco_minari.benchmark import few_shot, offline, protocol
+from imujoco_minari.benchmark.lines import Line, latest, read_lines
 from imujoco_minari.benchmark.methods import BOUNDS, METHODS
 from imujoco_minari.benchmark.offline import ALGORITHMS, TIERS
 from imujoco_minari.benchmark.scores import ALL, MethodScore, few_shot_scores
+from imujoco_minari.errors import BenchmarkError
 from imujoco_minari.variants import CATEGORIES, ROBOTS
 
 # The setting of the table by category, and of the figure of return against steps.
@@ -44,6 +46,19 @@ class ScoreFigure:
     x_label: str
     ticks: tuple[str, ...]
     panels: Mapping[str, Mapping[str, Sequence[_Interval | None]]]
+
+
+def read_results(folder: Path) -> tuple[list[Line], list[Line]]:
+    """Return the few-shot lines and the offline lines of a folder, the last of each cell.
+
+    Raises:
+        BenchmarkError: if the folder has none, or a line is not a result.
+    """
+    few = latest(read_lines(folder / few_shot.FILE), few_shot.CELL)
+    off = latest(read_lines(folder / offline.FILE), offline.CELL)
+    if not few and not off:
+        raise BenchmarkError(f"{folder} has no results: `imujoco benchmark few-shot` computes some")
+    return few, off
 
 
 def few_shot_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
@@ -149,24 +164,24 @@ def offline_tables(scores: Sequence[MethodScore]) -> str:
 
 
 def results_page(
-    few_shot: Sequence[Line],
-    offline: Sequence[Line],
+    few: Sequence[Line],
+    off: Sequence[Line],
     findings: str,
     scores: tuple[Sequence[MethodScore], Sequence[MethodScore]],
 ) -> str:
     """Return the results page as Markdown.
 
     Args:
-        few_shot: the few-shot lines.
-        offline: the offline lines.
+        few: the few-shot lines.
+        off: the offline lines.
         findings: the text that begins the page, in Markdown.
         scores: those of the few-shot lines and those of the offline lines.
     """
     few_scores, off_scores = scores
     parts = ["# Results", findings.strip(), _HOW]
     for title, lines, own, figures, tables in (
-        ("Few-shot imitation", few_shot, few_scores, few_shot_figures, few_shot_tables),
-        ("Offline learning", offline, off_scores, offline_figures, offline_tables),
+        ("Few-shot imitation", few, few_scores, few_shot_figures, few_shot_tables),
+        ("Offline learning", off, off_scores, offline_figures, offline_tables),
     ):
         if lines:
             drawn = [f"![{each.title}](results-figures/{each.name}.svg)" for each in figures(own)]

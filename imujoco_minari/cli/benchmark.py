@@ -103,7 +103,7 @@ def few_shot(
         range(seeds or SEEDS),
         variants,
     )
-    _state(grid, jobs, dry_run=dry_run, as_json=as_json)
+    _say_cost(grid, jobs, dry_run=dry_run, as_json=as_json)
     _publish(_recipes(grid.dataset_ids()), jobs, quiet=as_json)
     with progress("computing", grid.cells(), quiet=as_json) as on_cells:
         lines = run_few_shot(grid, output or RESULTS, jobs=jobs, on_cells=on_cells)
@@ -146,7 +146,7 @@ def offline(
         range(seeds or SEEDS),
         updates or UPDATES,
     )
-    _state(grid, jobs, dry_run=dry_run, as_json=as_json)
+    _say_cost(grid, jobs, dry_run=dry_run, as_json=as_json)
     _publish(grid.recipes(), jobs, quiet=as_json)
     with progress("training", grid.cells(), quiet=as_json) as on_cells:
         lines = run_offline(grid, output or RESULTS, jobs=jobs, on_cells=on_cells)
@@ -195,6 +195,7 @@ def table(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = Fal
 
     Example: `imujoco benchmark table results --output scores.csv`
     """
+    from imujoco_minari.benchmark.page import read_results
     from imujoco_minari.benchmark.scores import few_shot_scores, offline_scores, to_csv
     from imujoco_minari.storage.files import write_text
 
@@ -220,7 +221,7 @@ def page(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = Fals
     from imujoco_minari.pictures.plotting.scores import plot_scores
     from imujoco_minari.storage.files import write_text
 
-    few, off = read_results(folder)
+    few, off = pages.read_results(folder)
     few_scores, off_scores = few_shot_scores(few), offline_scores(off)
     target = output or Path("docs")
     figures = pages.few_shot_figures(few_scores) + pages.offline_figures(off_scores)
@@ -241,18 +242,6 @@ def page(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = Fals
     out.print(f"wrote {counted(len(files), 'file')} to {target}")
 
 
-def read_results(folder: Path) -> tuple[list[Line], list[Line]]:
-    """Return the few-shot lines and the offline lines of a folder, the last of each cell."""
-    from imujoco_minari.benchmark import few_shot, offline
-    from imujoco_minari.benchmark.lines import latest, read_lines
-
-    few = latest(read_lines(folder / few_shot.FILE), few_shot.CELL)
-    off = latest(read_lines(folder / offline.FILE), offline.CELL)
-    if not few and not off:
-        raise BenchmarkError(f"{folder} has no results: `imujoco benchmark few-shot` computes some")
-    return few, off
-
-
 def _holding_out(variants: Sequence[str], splits: Sequence[HeldOut]) -> list[HeldOut]:
     """Return the splits that hold variants out, with each variant in the first split that does.
 
@@ -270,8 +259,8 @@ def _holding_out(variants: Sequence[str], splits: Sequence[HeldOut]) -> list[Hel
     return found
 
 
-def _state(grid: FewShotGrid | OfflineGrid, jobs: int, *, dry_run: bool, as_json: bool) -> None:
-    """State how long the cells of a grid take.
+def _say_cost(grid: FewShotGrid | OfflineGrid, jobs: int, *, dry_run: bool, as_json: bool) -> None:
+    """Say how many cells a grid has, and how long they take.
 
     Raises:
         typer.Exit: if it is a dry run.

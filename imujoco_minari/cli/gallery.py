@@ -9,7 +9,6 @@ from typing import Annotated
 import typer
 
 from imujoco_minari.cli.app import FAILED, app
-from imujoco_minari.cli.benchmark import read_results
 from imujoco_minari.cli.estimates import gallery_line, size_text
 from imujoco_minari.cli.options import AsJson, Category, Robot, VariantIds
 from imujoco_minari.cli.printing import fail, out, print_json, progress, say, with_name
@@ -40,7 +39,7 @@ def gallery(
     Examples: `imujoco gallery site`, `imujoco gallery site --robot hopper --category length`,
     `imujoco gallery site --results results`
     """
-    from imujoco_minari.benchmark.page import variant_tables
+    from imujoco_minari.benchmark.page import read_results, variant_tables
     from imujoco_minari.pictures.gallery.builder import build, steps
 
     start = time.monotonic()

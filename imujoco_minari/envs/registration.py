@@ -246,6 +246,7 @@ def load_catalogue(path: str | Path) -> tuple[str, ...]:
         names = load_pages(path)
         for robot in names:
             check_robot(robot)
+            # This checks the splits of the page.
             held_out_names(robot)
             make(f"{robot}-{BASE}").close()
     for robot in names:

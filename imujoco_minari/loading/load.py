@@ -18,7 +18,7 @@ from imujoco_minari.errors import ArgumentError, DatasetError, check_one_robot, 
 from imujoco_minari.loading import selection
 from imujoco_minari.loading.episode_arrays import Arrays
 from imujoco_minari.loading.selection import Datasets, EpisodeReference, View
-from imujoco_minari.loading.statistics import Statistics, floating, measure
+from imujoco_minari.loading.statistics import Statistics, measure, normalized_dtype
 from imujoco_minari.storage.reader import EpisodeFile
 
 Array = NDArray[Any]
@@ -83,7 +83,7 @@ def arrays(
     shape = result.observations.shape[1:]
     if statistics.mean.shape != shape:
         raise DatasetError(f"statistics of {statistics.mean.shape} do not fit observations of {shape}")
-    kind = floating(result.observations)
+    kind = normalized_dtype(result.observations)
     observations = result.observations.astype(kind, copy=False)
     next_observations = result.next_observations.astype(kind, copy=False)
     statistics.normalize_in_place(observations)

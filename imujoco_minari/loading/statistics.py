@@ -29,11 +29,11 @@ class Statistics:
 
     def normalize(self, observations: Array) -> Array:
         """Return ``(observations - mean) / std`` in the dtype of ``observations``, or float64."""
-        return ((observations - self.mean) / self.std).astype(floating(observations), copy=False)
+        return ((observations - self.mean) / self.std).astype(normalized_dtype(observations), copy=False)
 
     def denormalize(self, observations: Array) -> Array:
         """Return ``observations * std + mean`` in the dtype of ``observations``, or float64."""
-        return (observations * self.std + self.mean).astype(floating(observations), copy=False)
+        return (observations * self.std + self.mean).astype(normalized_dtype(observations), copy=False)
 
     def normalize_in_place(self, observations: Array) -> None:
         """Normalise an array of floating-point observations (N, obs) without a copy of the whole array."""
@@ -55,7 +55,7 @@ def measure(observations: Array) -> Statistics:
     return Statistics(mean, np.where(std > 0, std, 1.0))
 
 
-def floating(observations: Array) -> np.dtype[Any]:
+def normalized_dtype(observations: Array) -> np.dtype[Any]:
     """Return the dtype of normalised observations: integers cannot hold them."""
     return observations.dtype if observations.dtype.kind == "f" else np.dtype(np.float64)
 

@@ -157,7 +157,7 @@ def _write_episodes(
     content: list[Any] = []
     steps, link = 0, linked_from is not None
     with writing(file_format.main_file(data), new=True) as target:
-        # Linking reads next to nothing of a file, so a damaged one does no harm.
+        # Linking reads no array, so a damaged file does no harm.
         for source in sources if link else _check_files(sources):
             with source.opened() as file:
                 attributes += source.attributes(file)

@@ -108,7 +108,7 @@ def adopt_page(robot: str, page: Mapping[str, str], name: str = "") -> None:
 
 
 def forget_page(robot: str) -> None:
-    """Make a robot unknown that :func:`adopt_page` made known, and forget what follows from its page."""
+    """Make a robot unknown that :func:`adopt_page` made known, and clear the caches that use its page."""
     if _CARRIED.pop(robot, None) is not None:
         del _PAGES[robot]
         for function in _FOLLOWING:
@@ -117,7 +117,7 @@ def forget_page(robot: str) -> None:
 
 @contextmanager
 def forget_on_error() -> Iterator[None]:
-    """Make the robots unknown again that became known inside, if what is inside fails."""
+    """If the block fails, make the robots unknown again that became known in it."""
     before = known_robots()
     try:
         yield
@@ -128,7 +128,7 @@ def forget_on_error() -> Iterator[None]:
 
 
 def follows_page(function: _CachedT) -> _CachedT:
-    """Mark a cached function whose results follow from pages: a forgotten page clears its cache."""
+    """Mark a cached function that uses pages: :func:`forget_page` clears its cache."""
     _FOLLOWING.append(function)
     return function
 
