@@ -11,6 +11,7 @@ import os
 import signal
 import threading
 import time
+import warnings
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, suppress
@@ -117,6 +118,8 @@ def _run_side_by_side(
     with parallel_config(backend="loky", initializer=_end_with, initargs=(os.getpid(),)):
         pool = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
     calls = [delayed(call)(number, argument) for number, argument in work.items()]
+    # Joblib replaces a worker that holds much memory after a job, which is no concern of a user.
+    warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
     # A Ctrl-C is for this process alone, which ends its workers: a worker would print a traceback. A
     # signal that is blocked here stays blocked in the processes that start now. Python's resource tracker
     # must run before, because starting it unblocks the signal.

@@ -39,8 +39,8 @@ class EpisodeFile:
         self._types: dict[np.dtype[Any], h5py.h5t.TypeID] = {}
         self._files: dict[Path, h5py.File] = {}
         self._followed: containment.Followed = {}
-        # Episodes whose links were checked. Most are opened twice, for their length and for their arrays.
-        self._checked: set[int] = set()
+        # Most episodes are used twice, for their length and for their arrays.
+        self._groups: dict[int, h5py.h5g.GroupID] = {}
         self._data = path.absolute().parent
         self._file = self._open_file(path.absolute())
 
@@ -117,6 +117,8 @@ class EpisodeFile:
 
     def _open_group(self, episode: int) -> h5py.h5g.GroupID:
         """Return an episode's group, following a link."""
+        if episode in self._groups:
+            return self._groups[episode]
         name = file_format.episode_name(episode).encode()
         try:
             # If HDF5 followed the link, it would open and close the other file for every episode.
@@ -127,9 +129,8 @@ class EpisodeFile:
             group = h5py.h5g.open(file.id, name)
         except (KeyError, ValueError):
             raise DatasetError(f"{self.name}: episode {episode} is not a group of {file.filename}") from None
-        if episode not in self._checked:
-            containment.check_links(group, f"{self.name}: episode {episode}: ")
-            self._checked.add(episode)
+        containment.check_links(group, f"{self.name}: episode {episode}: ")
+        self._groups[episode] = group
         return group
 
     def _open_file(self, path: Path) -> h5py.File:
