@@ -45,7 +45,7 @@ class FewShotGrid:
         methods: maps names to methods.
         splits: the splits; each is within one robot.
         tiers: tiers of the demonstrations and of the training data.
-        budgets: how much of a held-out variant is demonstrated.
+        budgets: how much of a held-out variant is demonstrated; None for those of the protocol.
         seeds: seeds of the draws and of the methods.
         variants: ids of the held-out variants to use; None for all of a split.
         episodes: number of episodes of each evaluation.
@@ -54,7 +54,7 @@ class FewShotGrid:
     methods: Mapping[str, NewMethod]
     splits: Sequence[HeldOut]
     tiers: Sequence[str] = (EXPERT,)
-    budgets: Sequence[Budget] = protocol.BUDGETS
+    budgets: Sequence[Budget] | None = None
     seeds: Sequence[int] = tuple(range(protocol.SEEDS))
     variants: Sequence[str] | None = None
     episodes: int = protocol.EVALUATION_EPISODES
@@ -69,25 +69,27 @@ class FewShotGrid:
         """Return the held-out variants of a split that are in the grid."""
         return [variant for variant in split.test if self.variants is None or variant in self.variants]
 
+    def budgets_of(self, method: str, split: HeldOut) -> Sequence[Budget]:
+        """Return the budgets of a method in a split. A bound needs no demonstration, so it has one."""
+        if method in BOUNDS:
+            return protocol.BUDGETS[:1]
+        return self.budgets or protocol.budgets_of(split)
+
     def cells(self) -> int:
         """Return the number of cells."""
-        return self._repeats() * sum(self._budgets(name) for name in self.methods)
+        return sum(self._cells(name) for name in self.methods)
 
     def seconds(self) -> float:
         """Return about how long one process computes the cells."""
         fits = sum(SECONDS_PER_FIT.get(name, 0.0) for name in self.methods)
         cells = sum(
-            self._budgets(name) * SECONDS_PER_CELL.get(name, SECONDS_PER_ADAPTED_CELL)
-            for name in self.methods
+            self._cells(name) * SECONDS_PER_CELL.get(name, SECONDS_PER_ADAPTED_CELL) for name in self.methods
         )
-        return cells * self._repeats() + fits * len(self.splits) * len(self.tiers) * len(self.seeds)
+        return cells + fits * len(self.splits) * len(self.tiers) * len(self.seeds)
 
-    def _budgets(self, name: str) -> int:
-        return 1 if name in BOUNDS else len(self.budgets)
-
-    def _repeats(self) -> int:
-        held_out = sum(len(self.held_out(split)) for split in self.splits)
-        return held_out * len(self.tiers) * len(self.seeds)
+    def _cells(self, method: str) -> int:
+        cells = sum(len(self.held_out(split)) * len(self.budgets_of(method, split)) for split in self.splits)
+        return cells * len(self.tiers) * len(self.seeds)
 
     def dataset_ids(self) -> list[str]:
         """Return the ids of the datasets that the cells need."""
@@ -146,7 +148,7 @@ def _lines(grid: FewShotGrid) -> Iterator[Line]:
                 "seed": seed,
                 "train_sha256": digest(_dataset_ids(split.train, tier)) if hasattr(method, "fit") else "",
             }
-            budgets = protocol.BUDGETS[:1] if name in BOUNDS else grid.budgets
+            budgets = grid.budgets_of(name, split)
             for variant in map(Variant.parse, grid.held_out(split)):
                 own = {
                     **common,

@@ -59,6 +59,13 @@ class Budget:
 
 
 BUDGETS = tuple(map(Budget.parse, ("1x100", "2x100", "5x100", "10x100", "1xall")))
+# The extremes show which shifts are hard. The random splits, which are smaller, show how much data helps.
+EXTREMES_BUDGETS = tuple(map(Budget.parse, ("5x100", "1xall")))
+
+
+def budgets_of(split: HeldOut) -> tuple[Budget, ...]:
+    """Return the budgets of a split of the protocol."""
+    return EXTREMES_BUDGETS if "-extremes-" in split.name else BUDGETS
 
 
 def validation_split(split: HeldOut) -> HeldOut:

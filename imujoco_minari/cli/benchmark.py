@@ -84,7 +84,7 @@ def few_shot(
     """
     from imujoco_minari.benchmark.few_shot import FewShotGrid, run_few_shot
     from imujoco_minari.benchmark.methods import METHODS, find_method, with_settings
-    from imujoco_minari.benchmark.protocol import BUDGETS, SEEDS, Budget, validation_split
+    from imujoco_minari.benchmark.protocol import SEEDS, Budget, validation_split
     from imujoco_minari.benchmark.scores import few_shot_scores
 
     # A method of your own is imported from the current folder.
@@ -99,7 +99,7 @@ def few_shot(
         {name: with_settings(find_method(name), settings or ()) for name in methods or METHODS},
         chosen,
         tiers or [EXPERT],
-        [Budget.parse(budget) for budget in budgets] if budgets else BUDGETS,
+        [Budget.parse(budget) for budget in budgets] if budgets else None,
         range(seeds or SEEDS),
         variants,
     )

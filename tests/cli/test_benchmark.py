@@ -39,7 +39,9 @@ def test_a_cell_becomes_a_line_a_table_and_a_page(
 
 def test_a_dry_run_computes_nothing(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert run(["benchmark", "few-shot", "--dry-run", "--output", str(tmp_path / "results")]) == 0
-    assert "14140 cells" in capsys.readouterr().err
+    # 31 variants in random splits and 70 in extremes; five methods with budgets, and three bounds.
+    cells = 5 * (31 * (5 * 5 + 3) + 70 * (5 * 2 + 3))
+    assert f"{cells} cells" in capsys.readouterr().err
     assert run(["benchmark", "offline", "--dry-run"]) == 0
     assert "108 cells" in capsys.readouterr().err
     assert run(["benchmark", "offline", "--dry-run", "--jobs", "2", "--json"]) == 0
