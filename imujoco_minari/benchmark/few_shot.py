@@ -20,7 +20,7 @@ import numpy as np
 from imujoco_minari.benchmark import protocol
 from imujoco_minari.benchmark.evaluating import episode_returns, relative_error
 from imujoco_minari.benchmark.lines import Line, data_sha256, policies_sha256, references, run_lines, versions
-from imujoco_minari.benchmark.methods import BOUNDS, Method, NewMethod, settings_of
+from imujoco_minari.benchmark.methods import COMPARISONS, Method, NewMethod, settings_of
 from imujoco_minari.benchmark.protocol import Budget, draw_demonstrations
 from imujoco_minari.errors import BenchmarkError, JobError
 from imujoco_minari.loading import arrays
@@ -32,7 +32,7 @@ FILE = "few-shot.jsonl"
 CELL = ("protocol", "method", "split", "tier", "variant", "budget", "seed")
 
 # Measured on one busy core.
-SECONDS_PER_CELL = {"set-encoder": 0.6} | dict.fromkeys(BOUNDS, 1.0)
+SECONDS_PER_CELL = {"set-encoder": 0.6} | dict.fromkeys(COMPARISONS, 1.0)
 SECONDS_PER_ADAPTED_CELL = 4.0
 SECONDS_PER_FIT = {"multi-variant": 40.0, "told": 40.0, "maml": 65.0, "set-encoder": 30.0}
 
@@ -70,8 +70,8 @@ class FewShotGrid:
         return [variant for variant in split.test if self.variants is None or variant in self.variants]
 
     def budgets_of(self, method: str, split: HeldOut) -> Sequence[Budget]:
-        """Return the budgets of a method in a split. A bound needs no demonstration, so it has one."""
-        if method in BOUNDS:
+        """Return the budgets of a method in a split. A comparison needs no demonstrations, so it has one."""
+        if method in COMPARISONS:
             return protocol.BUDGETS[:1]
         return self.budgets or protocol.budgets_of(split)
 

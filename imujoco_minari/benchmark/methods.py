@@ -78,7 +78,7 @@ METHODS: Mapping[str, NewMethod] = {
     "expert": ExpertBound,
 }
 # The policies of these methods do not depend on the demonstrations. They run with one budget.
-BOUNDS = ("told", "random", "expert")
+COMPARISONS = ("told", "random", "expert")
 
 
 def find_method(name: str) -> NewMethod:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from imujoco_minari.benchmark import few_shot, offline, protocol
 from imujoco_minari.benchmark.lines import Line, latest, read_lines
-from imujoco_minari.benchmark.methods import BOUNDS, METHODS
+from imujoco_minari.benchmark.methods import COMPARISONS, METHODS
 from imujoco_minari.benchmark.offline import ALGORITHMS, TIERS
 from imujoco_minari.benchmark.scores import ALL, MethodScore, few_shot_scores
 from imujoco_minari.errors import BenchmarkError
@@ -74,9 +74,9 @@ def few_shot_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
         for group in dict.fromkeys(score.group for score in chosen):
             own = {(s.method, s.budget, s.steps): _interval(s) for s in chosen if s.group == group}
             title = f"{group}, {chosen[0].tier}"
-            bounds = {m: next((i for k, i in own.items() if k[0] == m), None) for m in BOUNDS}
-            methods = [m for m in _ordered({key[0] for key in own}) if m not in BOUNDS]
-            grey = {f"bound: {m}": bounds[m] for m in BOUNDS if bounds[m] and m != "expert"}
+            fixed = {m: next((i for k, i in own.items() if k[0] == m), None) for m in COMPARISONS}
+            methods = [m for m in _ordered({key[0] for key in own}) if m not in COMPARISONS]
+            grey = {f"comparison: {m}": fixed[m] for m in COMPARISONS if fixed[m] and m != "expert"}
             data[title] = {m: [own.get((m, b, last[m])) for b in budgets] for m in methods} | {
                 name: [interval] * len(budgets) for name, interval in grey.items()
             }
@@ -130,7 +130,9 @@ def few_shot_tables(scores: Sequence[MethodScore]) -> str:
         own = [score for score in scores if (score.group, score.tier) == (group, tier)]
         columns, rows = _by_budget([score for score in own if score.category == ALL])
         parts.append(f"### {group}, {tier}\n\n{table(columns, rows)}")
-        hard = [s for s in own if s.category != ALL and (s.budget == TYPICAL_BUDGET or s.method in BOUNDS)]
+        hard = [
+            s for s in own if s.category != ALL and (s.budget == TYPICAL_BUDGET or s.method in COMPARISONS)
+        ]
         categories = [category for category in CATEGORIES if any(s.category == category for s in hard)]
         rows = []
         for method in _ordered({score.method for score in hard}):
@@ -196,7 +198,7 @@ def _by_budget(scores: Sequence[MethodScore]) -> tuple[list[str], list[list[str]
     for method in _ordered({score.method for score in scores}):
         for steps in sorted({score.steps for score in scores if score.method == method}):
             found = {s.budget: s for s in scores if (s.method, s.steps) == (method, steps)}
-            if method in BOUNDS:
+            if method in COMPARISONS:
                 found = dict.fromkeys(budgets, next(iter(found.values())))
             rows.append([method, str(steps), *(_cell(found.get(budget)) for budget in budgets)])
     return ["method", "steps", *budgets], rows

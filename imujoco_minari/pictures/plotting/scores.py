@@ -28,6 +28,7 @@ Panels: TypeAlias = Mapping[str, Mapping[str, Sequence[Interval]]]
 
 # Size in inches of a panel, and of the legend at the side.
 WIDTH, HEIGHT, SIDE = 2.9, 2.9, 1.7
+_COMPARISON = "comparison"
 
 
 def plot_scores(panels: Panels, ticks: Sequence[str], labels: tuple[str, str, str], stem: Path) -> list[Path]:
@@ -36,7 +37,7 @@ def plot_scores(panels: Panels, ticks: Sequence[str], labels: tuple[str, str, st
     They are curves with bands if the x axis has a label, or else bars with whiskers.
 
     Args:
-        panels: the intervals; a curve whose label begins with ``bound`` is grey.
+        panels: the intervals; a curve whose label begins with ``comparison`` is grey.
         ticks: labels of the places on the x axis.
         labels: title of the figure, label of the x axis and of the y axis.
         stem: the files' path without ending.
@@ -74,13 +75,16 @@ def plot_scores(panels: Panels, ticks: Sequence[str], labels: tuple[str, str, st
 
 
 def _draw_curve(axes: Axes, method: str, methods: Sequence[str], points: Array) -> None:
-    # The bounds are numbered apart from the methods. They are grey lines with dashes.
-    bound = method.startswith("bound")
-    place = [other for other in methods if other.startswith("bound") == bound].index(method)
-    style = line_style(place + 1) | {"color": BASE_EDGE} if bound else line_style(place)
+    # Comparisons are numbered apart from the methods. They are grey lines with dashes.
+    grey = method.startswith(_COMPARISON)
+    place = [other for other in methods if other.startswith(_COMPARISON) == grey].index(method)
+    style = line_style(place + 1) | {"color": BASE_EDGE} if grey else line_style(place)
     x, middle, low, high = points
-    axes.plot(x, middle, label=method, marker="" if bound else "o", markersize=3.5, **style)
+    axes.plot(x, middle, label=method, marker="" if grey else "o", markersize=3.5, **style)
     axes.fill_between(x, low, high, color=style["color"], alpha=0.18, linewidth=0)
+    if len(x) == 1:
+        # A band over one point is not visible.
+        axes.vlines(x, low, high, color=style["color"], linewidth=1.2)
 
 
 def _draw_bars(axes: Axes, method: str, methods: Sequence[str], points: Array) -> None:
