@@ -130,7 +130,8 @@ def recollect(archive: Archive, variant: OriginalVariant, how: Import) -> Publis
             "source_sha256": file_format.file_sha256(path),
             "seed": how.seed,
         }
-        if published := find_published(dataset_id, origin, force=how.force):
+        asked = {**origin, "total_episodes": how.episodes}
+        if published := find_published(dataset_id, asked, force=how.force):
             return published
         policy = read_actor(path).for_robot(variant.robot)
     source, mjcf = archive.mjcf(variant)

@@ -17,7 +17,7 @@ from imujoco_minari import combine_datasets, verify
 from imujoco_minari.cli.app import run
 from imujoco_minari.envs import environment_spec
 from imujoco_minari.envs.mjcf import canonical_mjcf, mjcf_sha256
-from imujoco_minari.errors import DatasetError
+from imujoco_minari.errors import DatasetError, DatasetExistsError
 from imujoco_minari.importing import originals
 from imujoco_minari.importing.archive import open_archive
 from imujoco_minari.importing.catalogue_diff import published_models
@@ -124,6 +124,10 @@ def test_recollected_data_replay_bit_for_bit(place: Path) -> None:
     assert "replayable" not in found
     assert found["policy_deterministic"] is True
     assert found["algorithm_name"] == "SAC"
+    variant = OriginalVariant.parse(HOPPER)
+    assert not recollect(open_archive(place), variant, how).created
+    with pytest.raises(DatasetExistsError, match="it has 2 episodes; you asked for 3 episodes"):
+        recollect(open_archive(place), variant, replace(how, episodes=3))
     with h5py.File(file_format.main_file(str(published.path) + "/data"), "a") as file:
         assert file["episode_0"].attrs["seed"] != file["episode_1"].attrs["seed"]
         file["episode_0/rewards"][0] += 1e-9
