@@ -23,7 +23,7 @@ FILE = Path(__file__).with_name("published.json")
 
 # A digest follows from these and from the machine and versions that made it.
 _RECIPE = ("total_episodes", "seed", "policy_sha256")
-_MADE_WITH = ("versions", "machine", "simd")
+_MADE_WITH = ("versions", "machine", "simd", "openblas_coretype")
 
 
 def compare_with_published(wanted: Mapping[str, Any], metadata: Mapping[str, Any]) -> Iterator[Finding]:
@@ -37,7 +37,7 @@ def compare_with_published(wanted: Mapping[str, Any], metadata: Mapping[str, Any
     recipe = {key: wanted[key] for key in _RECIPE}
     found = list(differing("metadata.json/", metadata, recipe, ", as published"))
     if not found:
-        other = [key for key in _MADE_WITH if metadata.get(key) != made_with[key]]
+        other = [key for key in _MADE_WITH if metadata.get(key) != made_with.get(key)]
         reason = f" with other {' and '.join(other)}" if other else ""
         content = {"content_sha256": wanted["content_sha256"]}
         found = list(differing("metadata.json/", metadata, content, f", as published{reason}"))
@@ -73,8 +73,9 @@ def listing(dataset_ids: Iterable[str]) -> str:
         metadata = read_metadata(minari_root.dataset_folder(dataset_id) / "data")
         if not _by_shipped_expert(dataset_id, metadata):
             raise DatasetError(f"{dataset_id} is not a dataset of the shipped expert")
-        made_with = made_with or {key: metadata[key] for key in _MADE_WITH}
-        if any(metadata[key] != made_with[key] for key in _MADE_WITH):
+        own = {key: metadata[key] for key in _MADE_WITH if key in metadata}
+        made_with = made_with or own
+        if own != made_with:
             raise DatasetError(f"{dataset_id} was made with other versions than the datasets before it")
         datasets[dataset_id] = {key: metadata[key] for key in (*_RECIPE, "content_sha256")}
     before = _content()
