@@ -21,7 +21,7 @@ TYPICAL_BUDGET = "5x100"
 
 _HOW = """[The benchmark](benchmark.md) defines every setting. A score is a normalised return: 0 is the random
 policy's and 1 the expert's of the same variant. It is an interquartile mean over variants and seeds, with its
-95 % interval by a stratified bootstrap. `imujoco benchmark page` makes this page from the result lines, and
+95 % bootstrap interval over seeds. `imujoco benchmark page` makes this page from the result lines, and
 `results.csv` beside it has every number."""
 # A score and the ends of its interval.
 _Interval = tuple[float, float, float]

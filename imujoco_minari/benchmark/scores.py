@@ -1,7 +1,8 @@
-"""Published numbers from result lines: interquartile means with stratified bootstrap intervals.
+"""Published numbers from result lines: interquartile means with bootstrap intervals.
 
 As in rliable, a run is a seed and a task is a variant. The score of a run on a task is the mean normalised
-return of its episodes: 0 is the random policy's return and 1 that of the variant's expert.
+return of its episodes: 0 is the random policy's return and 1 that of the variant's expert. Other than in
+rliable, the bootstrap draws a seed for all variants at once, because one training serves all of them.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import csv
 import io
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
 
 import numpy as np
@@ -37,7 +38,7 @@ class MethodScore:
         high: upper end of the 95 % interval.
         error: median relative error of the actions; NaN for offline data.
         variants: number of variants.
-        runs: number of seeds of the variant with the fewest.
+        runs: number of seeds that all variants have.
     """
 
     group: str
@@ -56,13 +57,13 @@ class MethodScore:
 
 # The first fields of a score.
 _Key = tuple[str, str, str, str, int, str]
-# Values by variant, one for each seed.
-_Values = dict[str, list[float]]
+# Values by variant and seed.
+_Values = dict[str, dict[int, float]]
 
 
 def few_shot_scores(lines: Iterable[Line]) -> list[MethodScore]:
     """Return the scores of few-shot lines, over all variants of a split and over those of a category."""
-    returns: dict[_Key, _Values] = defaultdict(lambda: defaultdict(list))
+    returns: dict[_Key, _Values] = defaultdict(lambda: defaultdict(dict))
     errors: dict[_Key, list[float]] = defaultdict(list)
     for line in lines:
         category = Variant.parse(line["variant"]).category
@@ -70,20 +71,22 @@ def few_shot_scores(lines: Iterable[Line]) -> list[MethodScore]:
             for each in (ALL, category):
                 key = (line["split"], line["tier"], line["method"], line["budget"], int(steps), each)
                 score = normalised_mean(result["returns"], line["references"])
-                returns[key][line["variant"]].append(score)
+                returns[key][line["variant"]][line["seed"]] = score
                 errors[key].append(result["error"])
-    return [_score(key, values, float(np.median(errors[key]))) for key, values in returns.items()]
+    scores = [_score(key, values, float(np.median(errors[key]))) for key, values in returns.items()]
+    return list(filter(None, scores))
 
 
 def offline_scores(lines: Iterable[Line]) -> list[MethodScore]:
     """Return the scores of offline lines: on the base of a robot, and on the variants together."""
-    returns: dict[_Key, _Values] = defaultdict(lambda: defaultdict(list))
+    returns: dict[_Key, _Values] = defaultdict(lambda: defaultdict(dict))
     for line in lines:
         for variant, result in line["results"].items():
             where = "base" if variant == f"{line['robot']}-base" else "shifted"
             key = (line["robot"], line["tier"], line["method"], "", line["updates"], where)
-            returns[key][variant].append(normalised_mean(result["returns"], line["references"][variant]))
-    return [_score(key, values, float("nan")) for key, values in returns.items()]
+            score = normalised_mean(result["returns"], line["references"][variant])
+            returns[key][variant][line["seed"]] = score
+    return list(filter(None, (_score(key, values, float("nan")) for key, values in returns.items())))
 
 
 def normalised_mean(returns: Sequence[float], references: Sequence[float]) -> float:
@@ -107,9 +110,11 @@ def to_csv(scores: Iterable[MethodScore]) -> str:
     return text.getvalue()
 
 
-def _score(key: _Key, values: Mapping[str, list[float]], error: float) -> MethodScore:
-    runs = min(map(len, values.values()))
-    # Runs by variants. A seed that some variants lack is left out.
-    matrix = np.array([scores[:runs] for scores in values.values()]).T
+def _score(key: _Key, values: _Values, error: float) -> MethodScore | None:
+    """Return the score of the seeds that all variants have; None if there is none."""
+    seeds = sorted(set.intersection(*map(set, values.values())))
+    if not seeds:
+        return None
+    matrix = np.array([[scores[seed] for scores in values.values()] for seed in seeds])
     low, high = bootstrap_interval(matrix)
-    return MethodScore(*key, interquartile_mean(matrix), low, high, error, len(values), runs)
+    return MethodScore(*key, interquartile_mean(matrix), low, high, error, len(values), len(seeds))

@@ -34,8 +34,8 @@ def bootstrap_interval(values: ArrayLike, *, seed: int = 0) -> tuple[float, floa
     """Return the 95 % percentile bootstrap interval of the interquartile mean.
 
     Args:
-        values: of shape (n,) or (n, tasks): n episodes or runs, of one or of several tasks. Each task is
-            resampled for itself, which is called a stratified bootstrap.
+        values: of shape (n,) or (n, tasks): n episodes or runs, of one or of several tasks. A run is drawn
+            with the values of all its tasks, because they share what the run has learnt.
         seed: of the 2000 resamples.
 
     Raises:
@@ -43,11 +43,9 @@ def bootstrap_interval(values: ArrayLike, *, seed: int = 0) -> tuple[float, floa
     """
     rows = _rows(values)
     rng = np.random.default_rng(seed)
-    count, tasks = rows.shape
+    count = len(rows)
     means = [
-        _interquartile_means(
-            rows[rng.integers(count, size=(size, count, tasks)), np.arange(tasks)].reshape(size, -1)
-        )
+        _interquartile_means(rows[rng.integers(count, size=(size, count))].reshape(size, -1))
         for size in [100] * (RESAMPLES // 100)
     ]
     low, high = np.quantile(np.concatenate(means), [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])

@@ -70,6 +70,15 @@ def test_a_score_is_the_interquartile_mean_over_variants_and_seeds() -> None:
     )
 
 
+def test_a_seed_that_a_variant_lacks_is_left_out() -> None:
+    lines = [few_shot_line("maml", VARIANTS[0], seed, seed / 10) for seed in (1, 2)]
+    lines += [few_shot_line("maml", VARIANTS[1], seed, seed / 10) for seed in (0, 1)]
+    score = few_shot_scores(lines)[0]
+    assert (score.iqm, score.runs, score.variants) == (pytest.approx(0.1), 1, 2)
+    # No seed serves both variants.
+    assert few_shot_scores([lines[1], lines[2]]) == []
+
+
 def test_offline_scores_separate_the_base_from_the_variants() -> None:
     scores = {(s.method, s.category): s for s in offline_scores(OFF)}
     assert scores["bc", "base"].iqm == pytest.approx(0.45)

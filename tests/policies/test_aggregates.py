@@ -27,12 +27,16 @@ def test_the_interval_holds_the_mean_of_a_known_distribution_19_times_in_20() ->
     assert 180 <= held <= 198
 
 
-def test_the_interval_of_several_tasks_leaves_each_its_share() -> None:
-    # Each task has one value, so a resample that keeps every task's share is always the same.
+def test_a_run_is_drawn_with_all_its_tasks() -> None:
+    # All runs are equal, so every resample is the same.
     tasks = np.tile([0.0, 1.0, 2.0, 50.0], (10, 1))
     assert bootstrap_interval(tasks) == (1.5, 1.5)
     low, high = bootstrap_interval(tasks.ravel())
     assert low < 1.5 < high
+    # Tasks that share the luck of a run say no more than one task.
+    luck = np.arange(10.0)
+    together = bootstrap_interval(np.tile(luck[:, None], (1, 20)))
+    assert together == pytest.approx(bootstrap_interval(luck), abs=0.5)
     assert bootstrap_interval([1.0, 2.0, 9.0]) == bootstrap_interval([1.0, 2.0, 9.0])
 
 
