@@ -67,7 +67,7 @@ def few_shot_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
     figures = []
     for kind in dict.fromkeys(_kind(score) for score in whole):
         chosen = [score for score in whole if _kind(score) == kind]
-        budgets = [str(b) for b in protocol.BUDGETS if any(s.budget == str(b) for s in chosen)]
+        budgets = _budgets(chosen)
         steps = sorted({score.steps for score in chosen})
         last = {score.method: score.steps for score in sorted(chosen, key=lambda score: score.steps)}
         data, descent = {}, {}
@@ -193,7 +193,7 @@ def results_page(
 
 def _by_budget(scores: Sequence[MethodScore]) -> tuple[list[str], list[list[str]]]:
     """Return the columns and rows of a table: methods and their steps by budget."""
-    budgets = [str(b) for b in protocol.BUDGETS if any(score.budget == str(b) for score in scores)]
+    budgets = _budgets(scores)
     rows = []
     for method in _ordered({score.method for score in scores}):
         for steps in sorted({score.steps for score in scores if score.method == method}):
@@ -202,6 +202,12 @@ def _by_budget(scores: Sequence[MethodScore]) -> tuple[list[str], list[list[str]
                 found = dict.fromkeys(budgets, next(iter(found.values())))
             rows.append([method, str(steps), *(_cell(found.get(budget)) for budget in budgets)])
     return ["method", "steps", *budgets], rows
+
+
+def _budgets(scores: Sequence[MethodScore]) -> list[str]:
+    """Return the budgets of the methods. Comparisons have one budget, which says nothing."""
+    found = {s.budget for s in scores if s.method not in COMPARISONS} or {s.budget for s in scores}
+    return [str(budget) for budget in protocol.BUDGETS if str(budget) in found]
 
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

@@ -93,6 +93,8 @@ def test_the_page_has_every_method_and_its_files_are_reproducible(tmp_path: Path
     assert text == page.results_page(FEW, OFF, "What was found.", (few_shot_scores(FEW), offline_scores(OFF)))
     assert text.startswith("# Results\n\nWhat was found.")
     assert "| mine | 25 | 0.15 (" in text
+    without = [line for line in FEW if line["budget"] == "5x100" or line["method"] == "told"]
+    assert "| method | steps | 5x100 |\n" in page.few_shot_tables(few_shot_scores(without))
     assert "| told | 0 | 0.80 (0.80 to 0.80) | 0.80 (0.80 to 0.80) |" in text
     assert "| hopper | medium-expert | base | bc | 0.45 (" in text
     figures = page.few_shot_figures(few_scores) + page.offline_figures(off_scores)
