@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import gc
+import os
 import shutil
+import subprocess
+import sys
 import warnings
 
 import gymnasium as gym
@@ -183,6 +186,20 @@ def test_an_observation_gives_the_same_action_in_whatever_company():
             assert actor.act_together(observations[rows], []).tobytes() == together[rows].tobytes()
     alone = [actor.act(observation, rng) for observation in observations]
     np.testing.assert_allclose(together, alone, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("kernels, extension", [("Haswell", "X86_V3"), ("Nehalem", "X86_V2")])
+def test_the_same_holds_for_the_kernels_of_other_processors(kernels, extension):
+    found = np.show_config(mode="dicts")["SIMD Extensions"]
+    if extension not in found["baseline"] + found["found"]:
+        pytest.skip(f"this processor has no {extension}")
+    test = f"{__file__}::{test_an_observation_gives_the_same_action_in_whatever_company.__name__}"
+    subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", test],
+        env=os.environ | {"OPENBLAS_CORETYPE": kernels},
+        check=True,
+        capture_output=True,
+    )
 
 
 def test_a_storage_counts_what_it_has_not_yet_written(tmp_path):
