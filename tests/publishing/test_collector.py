@@ -188,7 +188,7 @@ def test_an_observation_gives_the_same_action_in_whatever_company():
     np.testing.assert_allclose(together, alone, rtol=0, atol=1e-5)
 
 
-@pytest.mark.parametrize("kernels, extension", [("Haswell", "X86_V3"), ("Nehalem", "X86_V2")])
+@pytest.mark.parametrize(("kernels", "extension"), [("Haswell", "X86_V3"), ("Nehalem", "X86_V2")])
 def test_the_same_holds_for_the_kernels_of_other_processors(kernels, extension):
     found = np.show_config(mode="dicts")["SIMD Extensions"]
     if extension not in found["baseline"] + found["found"]:
