@@ -76,8 +76,7 @@ class MultiVariant:
         fit_rate: learning rate on the training variants.
         fit_steps: steps on the training variants.
         steps: numbers of steps of the fine-tuning after which it returns the policy.
-        told: give the policy the variant's context beside the observation. Such a
-            policy is not fine-tuned: it is a bound on what a method can infer from demonstrations.
+        told: give the policy the variant's context beside the observation. Such a policy is not fine-tuned.
     """
 
     seed: int = 0

@@ -205,7 +205,7 @@ def _by_budget(scores: Sequence[MethodScore]) -> tuple[list[str], list[list[str]
 
 
 def _budgets(scores: Sequence[MethodScore]) -> list[str]:
-    """Return the budgets of the methods. Comparisons have one budget, which says nothing."""
+    """Return the budgets of the methods. The one budget of a comparison does not count."""
     found = {s.budget for s in scores if s.method not in COMPARISONS} or {s.budget for s in scores}
     return [str(budget) for budget in protocol.BUDGETS if str(budget) in found]
 
