@@ -12,11 +12,11 @@ from imujoco_minari.benchmark import few_shot, offline, protocol
 from imujoco_minari.benchmark.lines import Line, latest, read_lines
 from imujoco_minari.benchmark.methods import COMPARISONS, METHODS
 from imujoco_minari.benchmark.offline import ALGORITHMS, TIERS
-from imujoco_minari.benchmark.scores import ALL, MethodScore, few_shot_scores
+from imujoco_minari.benchmark.scores import ALL, OWN_EXPERT, MethodScore, few_shot_scores
 from imujoco_minari.errors import BenchmarkError
 from imujoco_minari.variants import CATEGORIES, ROBOTS
 
-# The setting of the table by category, and of the figure of return against steps.
+# The setting of the table of parts, and of the figure of return against steps.
 TYPICAL_BUDGET = "5x100"
 
 _HOW = """[The benchmark](benchmark.md) defines every setting. A score is a normalised return: 0 is the random
@@ -63,17 +63,18 @@ def read_results(folder: Path) -> tuple[list[Line], list[Line]]:
 
 def few_shot_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
     """Return the figures of few-shot scores: return against data and against steps, by kind of split."""
-    whole = [score for score in scores if score.category == ALL]
+    shown = _shown(scores)
     figures = []
-    for kind in dict.fromkeys(_kind(score) for score in whole):
-        chosen = [score for score in whole if _kind(score) == kind]
+    for kind in dict.fromkeys(_kind(score) for score in shown):
+        chosen = [score for score in shown if _kind(score) == kind]
         budgets = _budgets(chosen)
         steps = sorted({score.steps for score in chosen})
         last = {score.method: score.steps for score in sorted(chosen, key=lambda score: score.steps)}
         data, descent = {}, {}
         for group in dict.fromkeys(score.group for score in chosen):
-            own = {(s.method, s.budget, s.steps): _interval(s) for s in chosen if s.group == group}
-            title = f"{group}, {chosen[0].tier}"
+            of_group = [score for score in chosen if score.group == group]
+            own = {(s.method, s.budget, s.steps): _interval(s) for s in of_group}
+            title = f"{group}, {of_group[0].variants} variants"
             fixed = {m: next((i for k, i in own.items() if k[0] == m), None) for m in COMPARISONS}
             methods = [m for m in _ordered({key[0] for key in own}) if m not in COMPARISONS]
             grey = {f"comparison: {m}": fixed[m] for m in COMPARISONS if fixed[m] and m != "expert"}
@@ -83,18 +84,18 @@ def few_shot_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
             descent[title] = {m: [own.get((m, TYPICAL_BUDGET, s)) for s in steps] for m in methods} | {
                 name: [interval] * len(steps) for name, interval in grey.items()
             }
-        most = max(steps)
+        most, tier = max(steps), chosen[0].tier
         figures += [
             ScoreFigure(
                 f"few-shot-{kind}-data",
-                f"Return against data, after {most:,} steps",
+                f"Return against data, after {most:,} steps, tier {tier}",
                 "windows x steps demonstrated",
                 tuple(budgets),
                 data,
             ),
             ScoreFigure(
                 f"few-shot-{kind}-steps",
-                f"Return against steps, with {TYPICAL_BUDGET} demonstrated",
+                f"Return against steps, with {TYPICAL_BUDGET} demonstrated, tier {tier}",
                 "gradient steps",
                 tuple(map(str, steps)),
                 descent,
@@ -124,23 +125,27 @@ def offline_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
 
 
 def few_shot_tables(scores: Sequence[MethodScore]) -> str:
-    """Return Markdown tables of few-shot scores: by budget, and by category."""
+    """Return Markdown tables of few-shot scores: by budget, and over parts of the variants."""
     parts = []
     for group, tier in dict.fromkeys((score.group, score.tier) for score in scores):
         own = [score for score in scores if (score.group, score.tier) == (group, tier)]
-        columns, rows = _by_budget([score for score in own if score.category == ALL])
-        parts.append(f"### {group}, {tier}\n\n{table(columns, rows)}")
-        hard = [
-            s for s in own if s.category != ALL and (s.budget == TYPICAL_BUDGET or s.method in COMPARISONS)
-        ]
-        categories = [category for category in CATEGORIES if any(s.category == category for s in hard)]
+        shown = _shown(own)
+        count, whole = shown[0].variants, max(score.variants for score in own)
+        which = " with an expert of their own" if shown[0].category == OWN_EXPERT else ""
+        columns, rows = _by_budget(shown)
+        parts.append(
+            f"### {group}, {tier}\n\n{count} of {whole} held-out variants{which}:\n\n{table(columns, rows)}"
+        )
+        hard = [s for s in own if s.budget == TYPICAL_BUDGET or s.method in COMPARISONS]
+        order = (ALL, OWN_EXPERT, *CATEGORIES)
+        categories = [category for category in order if any(s.category == category for s in hard)]
         rows = []
         for method in _ordered({score.method for score in hard}):
             most = max(score.steps for score in hard if score.method == method)
             by = {s.category: s for s in hard if (s.method, s.steps) == (method, most)}
             rows.append([method, str(most), *(_cell(by.get(category)) for category in categories)])
         parts.append(
-            f"By category, with {TYPICAL_BUDGET} steps demonstrated:\n\n"
+            f"All held-out variants and parts of them, with {TYPICAL_BUDGET} steps demonstrated:\n\n"
             + table(["method", "steps", *categories], rows)
         )
     return "\n".join(parts)
@@ -189,6 +194,13 @@ def results_page(
             drawn = [f"![{each.title}](results-figures/{each.name}.svg)" for each in figures(own)]
             parts += [f"## {title}", _note(lines), *drawn, tables(own)]
     return "\n\n".join(part.strip() for part in parts if part) + "\n"
+
+
+def _shown(scores: Sequence[MethodScore]) -> list[MethodScore]:
+    """Return the scores over variants with their own expert, or over all variants of a split without any."""
+    has_own = {(score.group, score.tier) for score in scores if score.category == OWN_EXPERT}
+    wanted = {True: OWN_EXPERT, False: ALL}
+    return [score for score in scores if score.category == wanted[(score.group, score.tier) in has_own]]
 
 
 def _by_budget(scores: Sequence[MethodScore]) -> tuple[list[str], list[list[str]]]:

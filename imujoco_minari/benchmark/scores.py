@@ -12,14 +12,17 @@ import io
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
+from functools import cache
 
 import numpy as np
 
-from imujoco_minari.benchmark.lines import Line
+from imujoco_minari.benchmark.lines import Line, policies_sha256
 from imujoco_minari.policies.aggregates import bootstrap_interval, interquartile_mean
-from imujoco_minari.variants import Variant
+from imujoco_minari.variants import Variant, catalogue
 
 ALL = "all"
+# The variants whose expert is that of no other variant, nor of the base robot.
+OWN_EXPERT = "own-expert"
 
 
 @dataclass(frozen=True)
@@ -32,7 +35,8 @@ class MethodScore:
         method: name of the method.
         budget: how much was demonstrated; empty for offline data.
         steps: gradient steps.
-        category: the category of the variants; ``all`` for all of them.
+        category: the category of the variants; ``all`` for all of them, and ``own-expert`` for those whose
+            expert is that of no other variant, nor of the base robot.
         iqm: interquartile mean of the scores.
         low: lower end of the 95 % interval.
         high: upper end of the 95 % interval.
@@ -62,19 +66,29 @@ _Values = dict[str, dict[int, float]]
 
 
 def few_shot_scores(lines: Iterable[Line]) -> list[MethodScore]:
-    """Return the scores of few-shot lines, over all variants of a split and over those of a category."""
+    """Return the scores of few-shot lines: over all variants of a split, and over some of them.
+
+    Each score is of all variants, of a category, or of those that have an expert of their own.
+    """
     returns: dict[_Key, _Values] = defaultdict(lambda: defaultdict(dict))
     errors: dict[_Key, list[float]] = defaultdict(list)
     for line in lines:
-        category = Variant.parse(line["variant"]).category
+        variant = Variant.parse(line["variant"])
+        categories = [ALL, variant.category, *([OWN_EXPERT] if _has_own_expert(variant) else [])]
         for steps, result in line["results"].items():
-            for each in (ALL, category):
+            for each in categories:
                 key = (line["split"], line["tier"], line["method"], line["budget"], int(steps), each)
                 score = normalised_mean(result["returns"], line["references"])
                 returns[key][line["variant"]][line["seed"]] = score
                 errors[key].append(result["error"])
     scores = [_score(key, values, float(np.median(errors[key]))) for key, values in returns.items()]
     return list(filter(None, scores))
+
+
+@cache
+def _has_own_expert(variant: Variant) -> bool:
+    others = {*catalogue(variant.robot), variant.base} - {variant}
+    return policies_sha256((variant,)) not in {policies_sha256((other,)) for other in others}
 
 
 def offline_scores(lines: Iterable[Line]) -> list[MethodScore]:

@@ -65,6 +65,9 @@ def test_a_score_is_the_interquartile_mean_over_variants_and_seeds() -> None:
     assert (whole.variants, whole.runs, whole.error) == (3, 2, 0.5)
     mass = scores["scratch", "5x100", 25, "mass"]
     assert (mass.iqm, mass.variants) == (pytest.approx(0.1), 2)
+    # The expert of the second variant is the base's.
+    own = scores["scratch", "5x100", 25, "own-expert"]
+    assert (own.iqm, own.variants) == (pytest.approx(0.15), 2)
     assert (
         scores["told", "1x100", 0, "all"].low == scores["told", "1x100", 0, "all"].high == pytest.approx(0.8)
     )
@@ -75,8 +78,8 @@ def test_a_seed_that_a_variant_lacks_is_left_out() -> None:
     lines += [few_shot_line("maml", VARIANTS[1], seed, seed / 10) for seed in (0, 1)]
     score = few_shot_scores(lines)[0]
     assert (score.iqm, score.runs, score.variants) == (pytest.approx(0.1), 1, 2)
-    # No seed serves both variants.
-    assert few_shot_scores([lines[1], lines[2]]) == []
+    # No seed serves both variants. Only the first has an expert of its own.
+    assert {score.category for score in few_shot_scores([lines[1], lines[2]])} == {"own-expert"}
 
 
 def test_offline_scores_separate_the_base_from_the_variants() -> None:
@@ -93,6 +96,9 @@ def test_the_page_has_every_method_and_its_files_are_reproducible(tmp_path: Path
     assert text == page.results_page(FEW, OFF, "What was found.", (few_shot_scores(FEW), offline_scores(OFF)))
     assert text.startswith("# Results\n\nWhat was found.")
     assert "| mine | 25 | 0.15 (" in text
+    assert "2 of 3 held-out variants with an expert of their own:" in text
+    shared = [line for line in FEW if line["variant"] == VARIANTS[1]]
+    assert "1 of 1 held-out variants:" in page.few_shot_tables(few_shot_scores(shared))
     without = [line for line in FEW if line["budget"] == "5x100" or line["method"] == "told"]
     assert "| method | steps | 5x100 |\n" in page.few_shot_tables(few_shot_scores(without))
     assert "| told | 0 | 0.80 (0.80 to 0.80) | 0.80 (0.80 to 0.80) |" in text

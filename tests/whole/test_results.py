@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from hashlib import sha256
 from pathlib import Path
 
 from imujoco_minari.benchmark.lines import policies_sha256, read_lines, references
 from imujoco_minari.benchmark.methods import METHODS, settings_of
-from imujoco_minari.variants import Variant, held_out
+from imujoco_minari.policies import expert_actor
+from imujoco_minari.variants import ROBOTS, Variant, catalogue, held_out
 from imujoco_minari.verification.published import published_entry
 
-LINES = read_lines(Path(__file__).parents[2] / "docs" / "results" / "few-shot.jsonl")
+LINES_FILE = Path(__file__).parents[2] / "docs" / "results" / "few-shot.jsonl"
+LINES = read_lines(LINES_FILE)
 
 
 def content(variant: str) -> str:
@@ -37,3 +40,21 @@ def test_the_splits_are_whole() -> None:
         # Five methods with these budgets, three with one, and five seeds.
         budgets = 2 if "extremes" in name else 5
         assert len(own) == len(cells) == len(held_out(name).test) * (5 * budgets + 3) * 5
+
+
+def test_the_page_counts_the_variants_with_their_own_expert() -> None:
+    text = (LINES_FILE.parents[1] / "results.md").read_text("utf-8")
+    whole = 0
+    for robot in ROBOTS:
+        weights = {
+            str(variant): expert_actor(variant).weights["mu.weight"].tobytes()
+            for variant in (Variant(robot), *catalogue(robot))
+        }
+        shared = Counter(weights.values())
+        for split in (f"{robot}-random-v1", f"{robot}-extremes-v1"):
+            test = held_out(split).test
+            own = sum(shared[weights[variant]] == 1 for variant in test)
+            whole += own
+            if any(line["split"] == split for line in LINES):
+                assert f"### {split}, expert\n\n{own} of {len(test)} held-out variants with" in text
+    assert f"{whole} of the 101." in (LINES_FILE.parents[1] / "benchmark.md").read_text("utf-8")
