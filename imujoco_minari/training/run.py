@@ -201,7 +201,8 @@ class Run:
         progress.intervals += 1
         progress.steps, progress.updates = int(agent.num_timesteps), int(agent._n_updates)
         progress.episodes = self._env.episodes
-        if not exploring:
+        # A run that ends before its first update has the actor that it began with.
+        if not exploring or self.finished:
             self._evaluate_actor(begin)
         else:
             progress.wall_seconds += time.monotonic() - begin

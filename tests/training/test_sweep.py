@@ -286,6 +286,13 @@ def test_an_actor_that_seems_the_best_is_looked_at_longer(
     run.close()
 
 
+def test_a_run_that_ends_before_its_first_update_has_an_actor(tmp_path: Path) -> None:
+    settings = hyperparameters("hopper", SCRATCH, **TINY | {"max_steps": 1})
+    record = Run(Task(BASE, settings), tmp_path).train()
+    assert record["updates"] == 0
+    assert record["evaluation"]["return_mean"] > 0
+
+
 def test_a_score_below_zero_is_improved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run = Run(Task(BASE, hyperparameters("hopper", SCRATCH, **TINY)), tmp_path)
     # The last mean is worth no second look.
