@@ -136,13 +136,13 @@ def few_shot_tables(scores: Sequence[MethodScore]) -> str:
         parts.append(
             f"### {group}, {tier}\n\n{count} of {whole} held-out variants{which}:\n\n{table(columns, rows)}"
         )
-        hard = [s for s in own if s.budget == TYPICAL_BUDGET or s.method in COMPARISONS]
+        typical = [s for s in own if s.budget == TYPICAL_BUDGET or s.method in COMPARISONS]
         order = (ALL, OWN_EXPERT, *CATEGORIES)
-        categories = [category for category in order if any(s.category == category for s in hard)]
+        categories = [category for category in order if any(s.category == category for s in typical)]
         rows = []
-        for method in _ordered({score.method for score in hard}):
-            most = max(score.steps for score in hard if score.method == method)
-            by = {s.category: s for s in hard if (s.method, s.steps) == (method, most)}
+        for method in _ordered({score.method for score in typical}):
+            most = max(score.steps for score in typical if score.method == method)
+            by = {s.category: s for s in typical if (s.method, s.steps) == (method, most)}
             rows.append([method, str(most), *(_cell(by.get(category)) for category in categories)])
         parts.append(
             f"All held-out variants and parts of them, with {TYPICAL_BUDGET} steps demonstrated:\n\n"
@@ -198,9 +198,8 @@ def results_page(
 
 def _shown(scores: Sequence[MethodScore]) -> list[MethodScore]:
     """Return the scores over variants with their own expert, or over all variants of a split without any."""
-    has_own = {(score.group, score.tier) for score in scores if score.category == OWN_EXPERT}
-    wanted = {True: OWN_EXPERT, False: ALL}
-    return [score for score in scores if score.category == wanted[(score.group, score.tier) in has_own]]
+    has_own = {(s.group, s.tier) for s in scores if s.category == OWN_EXPERT}
+    return [s for s in scores if s.category == (OWN_EXPERT if (s.group, s.tier) in has_own else ALL)]
 
 
 def _by_budget(scores: Sequence[MethodScore]) -> tuple[list[str], list[list[str]]]:

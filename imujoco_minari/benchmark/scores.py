@@ -21,7 +21,7 @@ from imujoco_minari.policies.aggregates import bootstrap_interval, interquartile
 from imujoco_minari.variants import Variant, catalogue
 
 ALL = "all"
-# The variants whose expert is that of no other variant, nor of the base robot.
+# The variants with an expert that neither the base robot nor another variant has.
 OWN_EXPERT = "own-expert"
 
 
@@ -35,8 +35,8 @@ class MethodScore:
         method: name of the method.
         budget: how much was demonstrated; empty for offline data.
         steps: gradient steps.
-        category: the category of the variants; ``all`` for all of them, and ``own-expert`` for those whose
-            expert is that of no other variant, nor of the base robot.
+        category: the category of the variants; ``all`` for all of them, and ``own-expert`` for those with
+            an expert that neither the base robot nor another variant has.
         iqm: interquartile mean of the scores.
         low: lower end of the 95 % interval.
         high: upper end of the 95 % interval.
@@ -87,6 +87,7 @@ def few_shot_scores(lines: Iterable[Line]) -> list[MethodScore]:
 
 @cache
 def _has_own_expert(variant: Variant) -> bool:
+    """Return whether neither the base robot nor another variant of the catalogue has a variant's expert."""
     others = {*catalogue(variant.robot), variant.base} - {variant}
     return policies_sha256((variant,)) not in {policies_sha256((other,)) for other in others}
 

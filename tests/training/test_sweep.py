@@ -288,7 +288,9 @@ def test_an_actor_that_seems_the_best_is_looked_at_longer(
 
 def test_a_run_that_ends_before_its_first_update_has_an_actor(tmp_path: Path) -> None:
     settings = hyperparameters("hopper", SCRATCH, **TINY | {"max_steps": 1})
-    record = Run(Task(BASE, settings), tmp_path).train()
+    run = Run(Task(BASE, settings), tmp_path)
+    record = run.train()
+    run.close()
     assert record["updates"] == 0
     assert record["evaluation"]["return_mean"] > 0
 
