@@ -18,7 +18,7 @@ from imujoco_minari.variants import EXPERT, Variant
 
 
 def publish_transitions(
-    variant: Variant,
+    variant: Variant | str,
     transitions: int = 5_000,
     *,
     tier: str = EXPERT,
@@ -33,7 +33,7 @@ def publish_transitions(
     policy and seed that has enough transitions is left alone.
 
     Args:
-        variant: the variant.
+        variant: the variant, or its id.
         transitions: number of transitions. The dataset has at least as many, because its episodes are whole.
         tier: a tier that one policy makes, or any name if ``policy`` is given.
         seed: base seed of all random numbers.
@@ -43,12 +43,13 @@ def publish_transitions(
 
     Raises:
         ArgumentError: if ``transitions`` is less than 1.
+        VariantError: if there is no such variant.
         DatasetExistsError: if the root has another dataset with this id and ``force`` is false.
         PolicyNotFoundError: if no single policy makes the tier.
     """
     if transitions < 1:
         raise ArgumentError(f"a dataset has at least one transition, not {transitions}")
-    episodes = 0
+    variant, episodes = Variant.parse(variant), 0
     dataset_id = variant.dataset_id(tier)
     if transactions.taken(dataset_id) and not force:
         stated = read_metadata(dataset_folder(dataset_id) / "data")
