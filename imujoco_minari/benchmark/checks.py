@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict
 from functools import cache
 
+from imujoco_minari.benchmark import offline, reproduction
 from imujoco_minari.benchmark.lines import Line, data_sha256, policies_sha256
 from imujoco_minari.benchmark.methods import METHODS, settings_of
-from imujoco_minari.benchmark.offline import ALGORITHMS, NAME, algorithm_settings
 from imujoco_minari.errors import DatasetNotFoundError, VariantError
 from imujoco_minari.variants import Variant, held_out
 
@@ -24,22 +25,26 @@ def changes(lines: Iterable[Line]) -> list[str]:
 
 
 def _changes(line: Line) -> Iterator[str]:
-    offline = line["protocol"] == NAME
-    if offline:
+    method, settings, variants = line["method"], None, tuple[Variant, ...]()
+    if line["protocol"] == reproduction.NAME:
+        train, data = reproduction.published_split()
+        yield from _data(train, line["train_sha256"])
+        settings = asdict(reproduction.DEFAULT)
+    elif line["protocol"] == offline.NAME:
         variants = tuple(map(Variant.parse, line["variants"]))
         data = [variants[0].dataset_id(line["tier"])]
-        settings = algorithm_settings(line["method"]) if line["method"] in ALGORITHMS else None
+        settings = offline.algorithm_settings(method) if method in offline.ALGORITHMS else None
     else:
         variant = Variant.parse(line["variant"])
         variants, data = (variant.base, variant), [variant.dataset_id(line["tier"])]
-        settings = settings_of(METHODS[line["method"]](0)) if line["method"] in METHODS else None
+        settings = settings_of(METHODS[method](0)) if method in METHODS else None
         if line["train_sha256"]:
             yield from _data(_train(line["split"], line["tier"]), line["train_sha256"])
     yield from _data(data, line["data_sha256"])
-    if policies_sha256(variants) != line["policies_sha256"]:
+    if variants and policies_sha256(variants) != line["policies_sha256"]:
         yield f"the expert of {' or '.join(map(str, variants))} has changed"
     if settings is not None and settings != line["settings"]:
-        yield f"the settings of {line['method']} have changed"
+        yield f"the settings of {method} have changed"
 
 
 def _data(dataset_ids: Sequence[str], digest: str) -> Iterator[str]:

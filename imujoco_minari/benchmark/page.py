@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import groupby, product
 from operator import itemgetter
 from pathlib import Path
 
-from imujoco_minari.benchmark import few_shot, offline, protocol
+from imujoco_minari.benchmark import few_shot, offline, protocol, reproduction
 from imujoco_minari.benchmark.lines import Line, latest, read_lines
 from imujoco_minari.benchmark.methods import COMPARISONS, METHODS
-from imujoco_minari.benchmark.offline import ALGORITHMS, TIERS
-from imujoco_minari.benchmark.scores import ALL, OWN_EXPERT, MethodScore, few_shot_scores
+from imujoco_minari.benchmark.offline import ALGORITHMS, SHIFTED_TIER, TIERS
+from imujoco_minari.benchmark.scores import ALL, OWN_EXPERT, SHIFTED, MethodScore, few_shot_scores
 from imujoco_minari.errors import BenchmarkError
-from imujoco_minari.variants import CATEGORIES, ROBOTS
+from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS
 
 # The setting of the table of parts, and of the figure of return against steps.
 TYPICAL_BUDGET = "5x100"
@@ -23,10 +23,31 @@ _HOW = """[The benchmark](benchmark.md) defines every setting. A score is a norm
 policy's and 1 the expert's of the same variant. It is an interquartile mean over variants and seeds, with its
 95 % bootstrap interval over seeds. `imujoco benchmark page` makes this page from the result lines, and
 `results.csv` beside it has every number."""
+_REPRODUCED = """The relative error of the actions on the held-out variants of HalfCheetah, by gradient
+steps: the mean of the seeds ± their standard deviation."""
 # A score and the ends of its interval.
 _Interval = tuple[float, float, float]
 # Caption, columns and rows.
 Table = tuple[str, list[str], list[list[str]]]
+
+
+@dataclass(frozen=True)
+class Results:
+    """The lines of a results folder, the last of each cell.
+
+    Attributes:
+        few_shot: lines of few-shot imitation.
+        offline: lines of offline learning.
+        reproduction: lines of the published comparison.
+    """
+
+    few_shot: Sequence[Line]
+    offline: Sequence[Line]
+    reproduction: Sequence[Line]
+
+    def all(self) -> list[Line]:
+        """Return all lines."""
+        return [*self.few_shot, *self.offline, *self.reproduction]
 
 
 @dataclass(frozen=True)
@@ -48,17 +69,18 @@ class ScoreFigure:
     panels: Mapping[str, Mapping[str, Sequence[_Interval | None]]]
 
 
-def read_results(folder: Path) -> tuple[list[Line], list[Line]]:
-    """Return the few-shot lines and the offline lines of a folder, the last of each cell.
+def read_results(folder: Path) -> Results:
+    """Return the lines of a folder.
 
     Raises:
         BenchmarkError: if the folder has none, or a line is not a result.
     """
-    few = latest(read_lines(folder / few_shot.FILE), few_shot.CELL)
-    off = latest(read_lines(folder / offline.FILE), offline.CELL)
-    if not few and not off:
+    found = Results(
+        *(latest(read_lines(folder / each.FILE), each.CELL) for each in (few_shot, offline, reproduction))
+    )
+    if not found.all():
         raise BenchmarkError(f"{folder} has no results: `imujoco benchmark few-shot` computes some")
-    return few, off
+    return found
 
 
 def few_shot_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
@@ -105,22 +127,23 @@ def few_shot_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
 
 
 def offline_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
-    """Return the figures of offline scores: bars by tier on the base, and on shifted variants."""
-    figures = []
-    for where, title in (
-        ("base", "on the base robot"),
-        ("shifted", "on variants that the data do not contain"),
-    ):
-        chosen = [score for score in scores if score.category == where]
-        tiers = tuple(tier for tier in TIERS if any(score.tier == tier for score in chosen))
-        panels = {}
-        for robot in (robot for robot in ROBOTS if any(score.group == robot for score in chosen)):
-            own = {(s.method, s.tier): _interval(s) for s in chosen if s.group == robot}
-            panels[robot] = {
-                m: [own.get((m, t)) for t in tiers] for m in ALGORITHMS if m in {k[0] for k in own}
-            }
-        if panels:
-            figures.append(ScoreFigure(f"offline-{where}", f"Offline learning: {title}", "", tiers, panels))
+    """Return the figures of offline scores: on the base by tier, and on shifted variants by category."""
+    if not scores:
+        return []
+    robots = [robot for robot in ROBOTS if any(score.group == robot for score in scores)]
+    methods = [method for method in ALGORITHMS if any(score.method == method for score in scores)]
+    found = {(s.group, s.method, s.tier, s.category): _interval(s) for s in scores}
+    tiers = tuple(tier for tier in TIERS if any(score.tier == tier for score in scores))
+    categories = tuple(each for each in CATEGORIES if any(score.category == each for score in scores))
+    on_base = {r: {m: [found.get((r, m, tier, BASE)) for tier in tiers] for m in methods} for r in robots}
+    figures = [ScoreFigure("offline-base", "Offline learning: on the base robot", "", tiers, on_base)]
+    if categories:
+        title = f"Offline learning on the base's {SHIFTED_TIER}: on variants that the data do not contain"
+        shifted = {
+            r: {m: [found.get((r, m, SHIFTED_TIER, each)) for each in categories] for m in methods}
+            for r in robots
+        }
+        figures.append(ScoreFigure("offline-shifted", title, "", categories, shifted))
     return figures
 
 
@@ -162,37 +185,62 @@ def variant_tables(lines: Sequence[Line]) -> dict[str, list[Table]]:
 
 
 def offline_tables(scores: Sequence[MethodScore]) -> str:
-    """Return a Markdown table of offline scores."""
-    rows = [
-        [score.group, score.tier, score.category, score.method, _cell(score)]
-        for score in sorted(scores, key=lambda s: (s.category, ROBOTS.index(s.group), TIERS.index(s.tier)))
-    ]
-    return table(["robot", "tier", "evaluated on", "method", "score"], rows)
+    """Return Markdown tables of offline scores: on the base robots, and on the variants."""
+    methods = [method for method in ALGORITHMS if any(score.method == method for score in scores)]
+    found = {(s.group, s.tier, s.category, s.method): s for s in scores}
+    settings = {key[:3] for key in found}
+    parts = []
+    for title, categories in (
+        ("On the base robot", (BASE,)),
+        ("On variants that the data do not contain", (SHIFTED, *CATEGORIES)),
+    ):
+        rows = [
+            [*setting, *(_cell(found.get((*setting, method))) for method in methods)]
+            for setting in product(ROBOTS, TIERS, categories)
+            if setting in settings
+        ]
+        if rows:
+            parts.append(f"{title}:\n\n{table(['robot', 'data', 'evaluated on', *methods], rows)}")
+    return "\n".join(parts)
+
+
+def reproduction_table(lines: Sequence[Line]) -> str:
+    """Return a Markdown table of the errors of the published comparison, ours beside the published."""
+    found = {(row.method, row.windows, row.steps): row for row in reproduction.comparison(lines)}
+    steps = sorted({key[2] for key in found})
+    rows = []
+    for method, windows in dict.fromkeys(key[:2] for key in found):
+        own = [found[method, windows, each] for each in steps]
+        rows.append([method, str(windows), *(f"{row.error:.3f} ± {row.std:.3f}" for row in own)])
+        published = [row.published for row in own]
+        if any(published):
+            shown = ["" if error is None else f"{error:.3f}" for error in published]
+            rows.append([f"{method}, published", str(windows), *shown])
+    return table(["method", "windows", *map(str, steps)], rows)
 
 
 def results_page(
-    few: Sequence[Line],
-    off: Sequence[Line],
-    findings: str,
-    scores: tuple[Sequence[MethodScore], Sequence[MethodScore]],
+    results: Results, scores: tuple[Sequence[MethodScore], Sequence[MethodScore]], findings: str = ""
 ) -> str:
     """Return the results page as Markdown.
 
     Args:
-        few: the few-shot lines.
-        off: the offline lines.
-        findings: the text that begins the page, in Markdown.
+        results: the lines.
         scores: those of the few-shot lines and those of the offline lines.
+        findings: the text that begins the page, in Markdown.
     """
     few_scores, off_scores = scores
     parts = ["# Results", findings.strip(), _HOW]
     for title, lines, own, figures, tables in (
-        ("Few-shot imitation", few, few_scores, few_shot_figures, few_shot_tables),
-        ("Offline learning", off, off_scores, offline_figures, offline_tables),
+        ("Few-shot imitation", results.few_shot, few_scores, few_shot_figures, few_shot_tables),
+        ("Offline learning", results.offline, off_scores, offline_figures, offline_tables),
     ):
         if lines:
             drawn = [f"![{each.title}](results-figures/{each.name}.svg)" for each in figures(own)]
             parts += [f"## {title}", _note(lines), *drawn, tables(own)]
+    if results.reproduction:
+        title, lines = "The published comparison", results.reproduction
+        parts += [f"## {title}", _REPRODUCED, _note(lines), reproduction_table(lines)]
     return "\n\n".join(part.strip() for part in parts if part) + "\n"
 
 

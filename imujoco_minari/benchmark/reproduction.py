@@ -39,6 +39,7 @@ from imujoco_minari.variants import catalogue
 
 NAME = "published-2026"
 FILE = "reproduction.jsonl"
+CELL = ("protocol", "method", "seed")
 ROBOT, WINDOW = "halfcheetah", 100
 SHOTS, STEPS, SEEDS = (1, 5, 10, 25), (1, 5, 10, 25, 50, 100, 200), 5
 METHODS = ("maml", "fine-tuning")

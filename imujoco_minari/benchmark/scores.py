@@ -18,11 +18,13 @@ import numpy as np
 
 from imujoco_minari.benchmark.lines import Line, policies_sha256
 from imujoco_minari.policies.aggregates import bootstrap_interval, interquartile_mean
-from imujoco_minari.variants import Variant, catalogue
+from imujoco_minari.variants import BASE, Variant, catalogue
 
 ALL = "all"
 # The variants with an expert that neither the base robot nor another variant has.
 OWN_EXPERT = "own-expert"
+# The variants that offline data do not contain.
+SHIFTED = "shifted"
 
 
 @dataclass(frozen=True)
@@ -30,13 +32,14 @@ class MethodScore:
     """The score of one method in one setting.
 
     Attributes:
-        group: the split, or robot and tier of an offline dataset.
+        group: the split, or the robot of an offline dataset.
         tier: the tier of the data.
         method: name of the method.
         budget: how much was demonstrated; empty for offline data.
         steps: gradient steps.
         category: the category of the variants; ``all`` for all of them, and ``own-expert`` for those with
-            an expert that neither the base robot nor another variant has.
+            an expert that neither the base robot nor another variant has. In offline learning ``base`` for
+            the base robot, and ``shifted`` for the variants that the data do not contain.
         iqm: interquartile mean of the scores.
         low: lower end of the 95 % interval.
         high: upper end of the 95 % interval.
@@ -93,14 +96,15 @@ def _has_own_expert(variant: Variant) -> bool:
 
 
 def offline_scores(lines: Iterable[Line]) -> list[MethodScore]:
-    """Return the scores of offline lines: on the base of a robot, and on the variants together."""
+    """Return the scores of offline lines: on the base of a robot, on the variants, and on each category."""
     returns: dict[_Key, _Values] = defaultdict(lambda: defaultdict(dict))
     for line in lines:
         for variant, result in line["results"].items():
-            where = "base" if variant == f"{line['robot']}-base" else "shifted"
-            key = (line["robot"], line["tier"], line["method"], "", line["updates"], where)
+            category = Variant.parse(variant).category
             score = normalised_mean(result["returns"], line["references"][variant])
-            returns[key][variant][line["seed"]] = score
+            for each in (BASE,) if category == BASE else (SHIFTED, category):
+                key = (line["robot"], line["tier"], line["method"], "", line["updates"], each)
+                returns[key][variant][line["seed"]] = score
     return list(filter(None, (_score(key, values, float("nan")) for key, values in returns.items())))
 
 

@@ -199,12 +199,12 @@ def table(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = Fal
     from imujoco_minari.benchmark.scores import few_shot_scores, offline_scores, to_csv
     from imujoco_minari.storage.files import write_text
 
-    few, off = read_results(folder)
-    scores = few_shot_scores(few) + offline_scores(off)
+    results = read_results(folder)
+    scores = few_shot_scores(results.few_shot) + offline_scores(results.offline)
     if output is not None:
         write_text(output, to_csv(scores))
     _show(scores, as_json)
-    _say_changed([*few, *off])
+    _say_changed(results.all())
 
 
 @benchmark.command()
@@ -221,10 +221,10 @@ def page(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = Fals
     from imujoco_minari.pictures.plotting.scores import plot_scores
     from imujoco_minari.storage.files import write_text
 
-    few, off = pages.read_results(folder)
-    few_scores, off_scores = few_shot_scores(few), offline_scores(off)
+    results = pages.read_results(folder)
+    scores = few_shot_scores(results.few_shot), offline_scores(results.offline)
     target = output or Path("docs")
-    figures = pages.few_shot_figures(few_scores) + pages.offline_figures(off_scores)
+    figures = pages.few_shot_figures(scores[0]) + pages.offline_figures(scores[1])
     files: list[Path] = []
     for figure in figures:
         labels = (figure.title, figure.x_label, "normalised return (interquartile mean)")
@@ -232,10 +232,10 @@ def page(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = Fals
         files += plot_scores(figure.panels, figure.ticks, labels, stem)
     findings = folder / "findings.md"
     found = findings.read_text("utf-8") if findings.exists() else ""
-    write_text(target / "results.md", pages.results_page(few, off, found, (few_scores, off_scores)))
-    write_text(target / "results.csv", to_csv(few_scores + off_scores))
+    write_text(target / "results.md", pages.results_page(results, scores, found))
+    write_text(target / "results.csv", to_csv(scores[0] + scores[1]))
     files += [target / "results.md", target / "results.csv"]
-    _say_changed([*few, *off])
+    _say_changed(results.all())
     if as_json:
         print_json({"files": [str(file) for file in files]})
         return

@@ -43,7 +43,7 @@ def gallery(
     from imujoco_minari.pictures.gallery.builder import build, steps
 
     start = time.monotonic()
-    tables = variant_tables(read_results(results)[0]) if results else {}
+    tables = variant_tables(read_results(results).few_shot) if results else {}
     chosen = select(variants, Filters(robot, category, everything=not (variants or robot or category)))
     count = steps(folder, chosen)
     if not as_json and len(chosen) > 1:

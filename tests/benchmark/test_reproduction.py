@@ -8,7 +8,14 @@ from pathlib import Path
 import pytest
 
 from imujoco_minari.benchmark import reproduction
-from imujoco_minari.benchmark.reproduction import Choices, comparison, published_split, run_reproduction
+from imujoco_minari.benchmark.checks import changes
+from imujoco_minari.benchmark.reproduction import (
+    METHODS,
+    Choices,
+    comparison,
+    published_split,
+    run_reproduction,
+)
 from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.variants import Variant, catalogue
 
@@ -33,6 +40,7 @@ def test_a_tiny_run_of_both_methods(monkeypatch: pytest.MonkeyPatch, tmp_path: P
     monkeypatch.setattr(reproduction, "STEPS", (1, 25))
     lines = run_reproduction(tmp_path, seeds=[0], choices=TINY)
     assert lines == run_reproduction(tmp_path, seeds=[0], choices=TINY)
+    assert changes(lines) == [f"the settings of {method} have changed (lines: 1)" for method in METHODS[::-1]]
     rows = {(row.method, row.windows, row.steps): row for row in comparison(lines)}
     assert len(rows) == 8
     assert rows["maml", 5, 25].published is None

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from imujoco_minari.benchmark import page
+from imujoco_minari.benchmark.reproduction import SHOTS, STEPS
 from imujoco_minari.benchmark.scores import few_shot_scores, offline_scores, to_csv
 
 VARIANTS = ("hopper-massinc_200_leggeom", "hopper-massdec_50_leggeom", "hopper-frictiondec_50_feet")
@@ -53,6 +54,16 @@ FEW = [
     for place, variant in enumerate(VARIANTS)
     for seed in (0, 1)
 ] + [few_shot_line("told", variant, seed, 0.8, "1x100") for variant in VARIANTS for seed in (0, 1)]
+REPRODUCED = [
+    {
+        "protocol": "published-2026",
+        "method": "fine-tuning",
+        "seed": seed,
+        "versions": {"jax": "1.0"},
+        "results": {str(n): {str(k): 0.3 for k in STEPS} | {"5": 0.4 + seed / 5} for n in SHOTS},
+    }
+    for seed in (0, 1)
+]
 OFF = [offline_line(method, seed, 0.4 + seed / 10) for method in ("bc", "iql") for seed in (0, 1)]
 
 
@@ -85,15 +96,16 @@ def test_a_seed_that_a_variant_lacks_is_left_out() -> None:
 def test_offline_scores_separate_the_base_from_the_variants() -> None:
     scores = {(s.method, s.category): s for s in offline_scores(OFF)}
     assert scores["bc", "base"].iqm == pytest.approx(0.45)
-    assert scores["bc", "shifted"].iqm == pytest.approx(0.225)
+    assert scores["bc", "shifted"].iqm == scores["bc", "friction"].iqm == pytest.approx(0.225)
 
 
 def test_the_page_has_every_method_and_its_files_are_reproducible(tmp_path: Path) -> None:
     from imujoco_minari.pictures.plotting.scores import plot_scores
 
     few_scores, off_scores = few_shot_scores(FEW), offline_scores(OFF)
-    text = page.results_page(FEW, OFF, "What was found.", (few_scores, off_scores))
-    assert text == page.results_page(FEW, OFF, "What was found.", (few_shot_scores(FEW), offline_scores(OFF)))
+    results = page.Results(FEW, OFF, REPRODUCED)
+    text = page.results_page(results, (few_scores, off_scores), "What was found.")
+    assert text == page.results_page(results, (few_shot_scores(FEW), offline_scores(OFF)), "What was found.")
     assert text.startswith("# Results\n\nWhat was found.")
     assert "| mine | 25 | 0.15 (" in text
     assert "2 of 3 held-out variants with an expert of their own:" in text
@@ -102,7 +114,10 @@ def test_the_page_has_every_method_and_its_files_are_reproducible(tmp_path: Path
     without = [line for line in FEW if line["budget"] == "5x100" or line["method"] == "told"]
     assert "| method | steps | 5x100 |\n" in page.few_shot_tables(few_shot_scores(without))
     assert "| told | 0 | 0.80 (0.80 to 0.80) | 0.80 (0.80 to 0.80) |" in text
-    assert "| hopper | medium-expert | base | bc | 0.45 (" in text
+    assert "| hopper | medium-expert | base | 0.45 (" in text
+    assert "| hopper | medium-expert | friction | 0.2" in text
+    assert "| fine-tuning | 25 | 0.300 ± 0.000 | 0.500 ± 0.100 | 0.300 ± 0.000 |" in text
+    assert "| fine-tuning, published | 25 |  | 0.443 |  | 0.330 |  |  | 0.234 |" in text
     figures = page.few_shot_figures(few_scores) + page.offline_figures(off_scores)
     for figure in figures:
         assert f"results-figures/{figure.name}.svg" in text
