@@ -52,18 +52,20 @@ def critic_error(critics: tuple[Network, Network], observations: Any, actions: A
     return ((first - target) ** 2).mean() + ((second - target) ** 2).mean()
 
 
-def run_updates(algorithm: Any, update_of: Callable[[Any], Update], state: Any, data: tuple[Any, ...]) -> Any:
-    """Return the state after all updates of an algorithm.
+def run_updates(
+    algorithm: Any, update_of: Callable[[Any], Update], state: Any, data: tuple[Any, ...]
+) -> dict[int, Any]:
+    """Return the state at each checkpoint of an algorithm.
 
     Args:
-        algorithm: a dataclass with ``seed`` and ``updates``.
+        algorithm: a dataclass with ``seed`` and ``checkpoints``.
         update_of: returns the update of an algorithm's settings.
         state: the state before the first update.
         data: the data of :func:`transition_data`.
     """
     # All seeds use one compiled program.
-    update = update_of(replace(algorithm, seed=0, updates=0))
-    return iterate(update, state, data, [algorithm.updates], algorithm.seed)[algorithm.updates]
+    update = update_of(replace(algorithm, seed=0, checkpoints=()))
+    return iterate(update, state, data, algorithm.checkpoints, algorithm.seed)
 
 
 def follow(target: Any, network: Any, share: float) -> Any:

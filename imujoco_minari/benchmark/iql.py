@@ -39,8 +39,8 @@ class Iql:
 
     Attributes:
         seed: seed of the weights and of the batches.
-        updates: number of updates.
-        rate: learning rate; that of the actor falls to 0 by a cosine.
+        checkpoints: numbers of updates after which the policy is kept.
+        rate: learning rate; that of the actor falls by a cosine, to 0 at the last checkpoint.
         batch: rows of a batch.
         discount: discount factor.
         follow_share: share by which the target critics follow at each update.
@@ -50,7 +50,7 @@ class Iql:
     """
 
     seed: int
-    updates: int
+    checkpoints: tuple[int, ...]
     rate: float = 3e-4
     batch: int = 128
     discount: float = 0.99
@@ -59,8 +59,8 @@ class Iql:
     sharpness: float = 3.0
     weight_limit: float = 100.0
 
-    def train(self, data: Arrays) -> Actor:
-        """Return the policy that was learnt from the data."""
+    def train(self, data: Arrays) -> dict[int, Actor]:
+        """Return the policy at each checkpoint."""
         statistics = robust_statistics(data.observations)
         observation, action = data.observations.shape[1], data.actions.shape[1]
         actor = (new_policy(data.observations, data.actions, self.seed), np.zeros(action, np.float32))
@@ -70,9 +70,9 @@ class Iql:
         # As in the paper: the returns of the episodes span 1000.
         spread = float(np.ptp(data.returns))
         scaled = transition_data(data, statistics, 1000.0 / spread if spread else 1.0)
-        state = (np.int32(0), np.int32(self.updates), actor, critics, critics, value, moments)
-        network, _ = run_updates(self, _update, state, scaled)[2]
-        return to_actor(network, statistics, "IQL")
+        state = (np.int32(0), np.int32(max(self.checkpoints)), actor, critics, critics, value, moments)
+        states = run_updates(self, _update, state, scaled)
+        return {updates: to_actor(state[2][0], statistics, "IQL") for updates, state in states.items()}
 
 
 @cache

@@ -18,20 +18,20 @@ class Cloning:
 
     Attributes:
         seed: seed of the weights and of the batches.
-        updates: number of gradient steps.
+        checkpoints: numbers of gradient steps after which the policy is kept.
         best: share of the steps to clone, of the episodes with the highest returns.
         rate: learning rate.
         batch: rows of a batch.
     """
 
     seed: int
-    updates: int
+    checkpoints: tuple[int, ...]
     best: float = 1.0
     rate: float = 3e-4
     batch: int = 128
 
-    def train(self, data: Arrays) -> Actor:
-        """Return the policy that imitates the data."""
+    def train(self, data: Arrays) -> dict[int, Actor]:
+        """Return the policy at each checkpoint."""
         order = np.argsort(-data.returns, kind="stable")
         steps = np.cumsum(data.episode_lengths[order])
         # At least one episode.
@@ -40,6 +40,9 @@ class Cloning:
         inputs = statistics.normalize(kept.observations)
         network = new_policy(inputs, kept.actions, self.seed)
         networks = clone(
-            network, inputs, kept.actions, [self.updates], rate=self.rate, seed=self.seed, batch=self.batch
+            network, inputs, kept.actions, self.checkpoints, rate=self.rate, seed=self.seed, batch=self.batch
         )
-        return to_actor(networks[self.updates], statistics, "behaviour cloning")
+        return {
+            updates: to_actor(network, statistics, "behaviour cloning")
+            for updates, network in networks.items()
+        }

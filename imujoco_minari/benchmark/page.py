@@ -127,23 +127,41 @@ def few_shot_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
 
 
 def offline_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
-    """Return the figures of offline scores: on the base by tier, and on shifted variants by category."""
+    """Return the figures of offline scores: by tier, by updates, and by category of shifted variants."""
     if not scores:
         return []
-    robots = [robot for robot in ROBOTS if any(score.group == robot for score in scores)]
-    methods = [method for method in ALGORITHMS if any(score.method == method for score in scores)]
-    found = {(s.group, s.method, s.tier, s.category): _interval(s) for s in scores}
-    tiers = tuple(tier for tier in TIERS if any(score.tier == tier for score in scores))
-    categories = tuple(each for each in CATEGORIES if any(score.category == each for score in scores))
-    on_base = {r: {m: [found.get((r, m, tier, BASE)) for tier in tiers] for m in methods} for r in robots}
-    figures = [ScoreFigure("offline-base", "Offline learning: on the base robot", "", tiers, on_base)]
-    if categories:
-        title = f"Offline learning on the base's {SHIFTED_TIER}: on variants that the data do not contain"
-        shifted = {
-            r: {m: [found.get((r, m, SHIFTED_TIER, each)) for each in categories] for m in methods}
-            for r in robots
+    found = {(s.group, s.tier, s.category, s.steps, s.method): _interval(s) for s in scores}
+    robots, tiers, categories, steps, methods = (
+        [value for value in order if any(key[place] == value for key in found)]
+        for place, order in enumerate(
+            (ROBOTS, TIERS, CATEGORIES, sorted({s.steps for s in scores}), ALGORITHMS)
+        )
+    )
+
+    def figure(
+        name: str, title: str, x_label: str, settings: Mapping[str, tuple[str, str, int]]
+    ) -> ScoreFigure:
+        panels = {
+            r: {m: [found.get((r, *each, m)) for each in settings.values()] for m in methods} for r in robots
         }
-        figures.append(ScoreFigure("offline-shifted", title, "", categories, shifted))
+        return ScoreFigure(name, f"Offline learning: {title}", x_label, tuple(settings), panels)
+
+    last = steps[-1]
+    figures = [figure("offline-base", "on the base robot", "", {tier: (tier, BASE, last) for tier in tiers})]
+    figures += [
+        figure(
+            f"offline-{tier}-steps",
+            f"return against updates, {tier}",
+            "updates",
+            {f"{n:,}": (tier, BASE, n) for n in steps},
+        )
+        for tier in tiers
+    ]
+    if categories:
+        title = f"from {SHIFTED_TIER} data of the base to other variants"
+        figures.append(
+            figure("offline-shifted", title, "", {each: (SHIFTED_TIER, each, last) for each in categories})
+        )
     return figures
 
 
@@ -187,21 +205,23 @@ def variant_tables(lines: Sequence[Line]) -> dict[str, list[Table]]:
 def offline_tables(scores: Sequence[MethodScore]) -> str:
     """Return Markdown tables of offline scores: on the base robots, and on the variants."""
     methods = [method for method in ALGORITHMS if any(score.method == method for score in scores)]
-    found = {(s.group, s.tier, s.category, s.method): s for s in scores}
-    settings = {key[:3] for key in found}
-    parts = []
-    for title, categories in (
-        ("On the base robot", (BASE,)),
-        ("On variants that the data do not contain", (SHIFTED, *CATEGORIES)),
-    ):
-        rows = [
-            [*setting, *(_cell(found.get((*setting, method))) for method in methods)]
-            for setting in product(ROBOTS, TIERS, categories)
+    found = {(s.group, s.tier, s.category, s.steps, s.method): s for s in scores}
+    settings, steps = {key[:-1] for key in found}, sorted({s.steps for s in scores})
+
+    def rows(categories: Sequence[str], steps: Sequence[int], shown: Sequence[int]) -> list[list[str]]:
+        return [
+            [str(setting[place]) for place in shown] + [_cell(found.get((*setting, m))) for m in methods]
+            for setting in product(ROBOTS, TIERS, categories, steps)
             if setting in settings
         ]
-        if rows:
-            parts.append(f"{title}:\n\n{table(['robot', 'data', 'evaluated on', *methods], rows)}")
-    return "\n".join(parts)
+
+    text = "On the base robot:\n\n" + table(
+        ["robot", "data", "updates", *methods], rows([BASE], steps, (0, 1, 3))
+    )
+    if shifted := rows([SHIFTED, *CATEGORIES], steps[-1:], (0, 2)):
+        text += f"\nFrom {SHIFTED_TIER} data of the base to other variants, after {steps[-1]:,} updates:\n\n"
+        text += table(["robot", "variants", *methods], shifted)
+    return text
 
 
 def reproduction_table(lines: Sequence[Line]) -> str:

@@ -99,12 +99,13 @@ def offline_scores(lines: Iterable[Line]) -> list[MethodScore]:
     """Return the scores of offline lines: on the base of a robot, on the variants, and on each category."""
     returns: dict[_Key, _Values] = defaultdict(lambda: defaultdict(dict))
     for line in lines:
-        for variant, result in line["results"].items():
+        for variant, by_updates in line["results"].items():
             category = Variant.parse(variant).category
-            score = normalised_mean(result["returns"], line["references"][variant])
-            for each in (BASE,) if category == BASE else (SHIFTED, category):
-                key = (line["robot"], line["tier"], line["method"], "", line["updates"], each)
-                returns[key][variant][line["seed"]] = score
+            for updates, result in by_updates.items():
+                score = normalised_mean(result["returns"], line["references"][variant])
+                for each in (BASE,) if category == BASE else (SHIFTED, category):
+                    key = (line["robot"], line["tier"], line["method"], "", int(updates), each)
+                    returns[key][variant][line["seed"]] = score
     return list(filter(None, (_score(key, values, float("nan")) for key, values in returns.items())))
 
 

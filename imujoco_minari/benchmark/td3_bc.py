@@ -30,7 +30,8 @@ class Td3Bc:
 
     Attributes:
         seed: seed of the weights, the batches and the noise.
-        updates: number of updates of the critics; the actor is updated at every second.
+        checkpoints: numbers of updates after which the policy is kept. The critics are updated each time, and
+            the actor every second time.
         rate: learning rate.
         batch: rows of a batch.
         discount: discount factor.
@@ -41,7 +42,7 @@ class Td3Bc:
     """
 
     seed: int
-    updates: int
+    checkpoints: tuple[int, ...]
     rate: float = 3e-4
     batch: int = 128
     discount: float = 0.99
@@ -50,16 +51,16 @@ class Td3Bc:
     noise_limit: float = 0.5
     weight: float = 2.5
 
-    def train(self, data: Arrays) -> Actor:
-        """Return the policy that was learnt from the data."""
+    def train(self, data: Arrays) -> dict[int, Actor]:
+        """Return the policy at each checkpoint."""
         statistics = robust_statistics(data.observations)
         observation, action = data.observations.shape[1], data.actions.shape[1]
         actor = new_policy(data.observations, data.actions, self.seed)
         critics = new_critics(observation, action, self.seed)
         moments = (adam().init(actor), adam().init(critics))
         state = (np.int32(0), actor, critics, actor, critics, moments)
-        trained = run_updates(self, _update, state, transition_data(data, statistics))
-        return to_actor(trained[1], statistics, "TD3+BC")
+        states = run_updates(self, _update, state, transition_data(data, statistics))
+        return {updates: to_actor(state[1], statistics, "TD3+BC") for updates, state in states.items()}
 
 
 @cache

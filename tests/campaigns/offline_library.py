@@ -57,10 +57,10 @@ def new_algorithm(method: str, updates: int) -> Any:
 def published_scores(method: str, robot: str, tier: str, updates: int) -> list[float]:
     """Return the scores of our lines of these cells on the base robot, one for each seed."""
     lines = latest(read_lines(RESULTS), offline.CELL) if RESULTS.exists() else []
-    wanted = (method, robot, tier, updates)
-    own = [line for line in lines if tuple(line[k] for k in ("method", "robot", "tier", "updates")) == wanted]
-    base = f"{robot}-base"
-    return [normalised_mean(line["results"][base]["returns"], line["references"][base]) for line in own]
+    wanted, base = (method, robot, tier), f"{robot}-base"
+    own = [line for line in lines if tuple(line[key] for key in ("method", "robot", "tier")) == wanted]
+    found = [(line["results"][base].get(str(updates)), line["references"][base]) for line in own]
+    return [normalised_mean(result["returns"], references) for result, references in found if result]
 
 
 def main() -> None:
