@@ -16,7 +16,9 @@ from functools import cache
 
 import numpy as np
 
+from imujoco_minari.benchmark import protocol
 from imujoco_minari.benchmark.lines import Line, policies_sha256
+from imujoco_minari.benchmark.methods import COMPARISONS, METHODS
 from imujoco_minari.policies.aggregates import bootstrap_interval, interquartile_mean
 from imujoco_minari.variants import BASE, Variant, catalogue
 
@@ -107,6 +109,23 @@ def offline_scores(lines: Iterable[Line]) -> list[MethodScore]:
                     key = (line["robot"], line["tier"], line["method"], "", int(updates), each)
                     returns[key][variant][line["seed"]] = score
     return list(filter(None, (_score(key, values, float("nan")) for key, values in returns.items())))
+
+
+def typical_variants(scores: Sequence[MethodScore]) -> list[MethodScore]:
+    """Return the scores over variants with their own expert, or over all variants of a split without any."""
+    has_own = {(s.group, s.tier) for s in scores if s.category == OWN_EXPERT}
+    return [s for s in scores if s.category == (OWN_EXPERT if (s.group, s.tier) in has_own else ALL)]
+
+
+def budgets_of(scores: Sequence[MethodScore]) -> list[str]:
+    """Return the budgets of the methods. The one budget of a comparison does not count."""
+    found = {s.budget for s in scores if s.method not in COMPARISONS} or {s.budget for s in scores}
+    return [str(budget) for budget in protocol.BUDGETS if str(budget) in found]
+
+
+def in_order(methods: set[str]) -> list[str]:
+    """Return methods in the order of this package's, then the others."""
+    return [m for m in METHODS if m in methods] + sorted(methods - set(METHODS))
 
 
 def normalised_mean(returns: Sequence[float], references: Sequence[float]) -> float:

@@ -216,15 +216,16 @@ def page(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = Fals
 
     Example: `imujoco benchmark page results --output docs`
     """
-    from imujoco_minari.benchmark import page as pages
+    from imujoco_minari.benchmark.figures import few_shot_figures, offline_figures
+    from imujoco_minari.benchmark.page import read_results, results_page
     from imujoco_minari.benchmark.scores import few_shot_scores, offline_scores, to_csv
     from imujoco_minari.pictures.plotting.scores import plot_scores
     from imujoco_minari.storage.files import write_text
 
-    results = pages.read_results(folder)
+    results = read_results(folder)
     scores = few_shot_scores(results.few_shot), offline_scores(results.offline)
     target = output or Path("docs")
-    figures = pages.few_shot_figures(scores[0]) + pages.offline_figures(scores[1])
+    figures = few_shot_figures(scores[0]) + offline_figures(scores[1])
     files: list[Path] = []
     for figure in figures:
         labels = (figure.title, figure.x_label, "normalised return (interquartile mean)")
@@ -232,7 +233,7 @@ def page(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = Fals
         files += plot_scores(figure.panels, figure.ticks, labels, stem)
     findings = folder / "findings.md"
     found = findings.read_text("utf-8") if findings.exists() else ""
-    write_text(target / "results.md", pages.results_page(results, scores, found))
+    write_text(target / "results.md", results_page(results, scores, found))
     write_text(target / "results.csv", to_csv(scores[0] + scores[1]))
     files += [target / "results.md", target / "results.csv"]
     _say_changed(results.all())

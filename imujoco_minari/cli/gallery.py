@@ -39,7 +39,8 @@ def gallery(
     Examples: `imujoco gallery site`, `imujoco gallery site --robot hopper --category length`,
     `imujoco gallery site --results results`
     """
-    from imujoco_minari.benchmark.page import read_results, variant_tables
+    from imujoco_minari.benchmark.page import read_results
+    from imujoco_minari.benchmark.tables import variant_tables
     from imujoco_minari.pictures.gallery.builder import build, steps
 
     start = time.monotonic()

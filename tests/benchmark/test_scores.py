@@ -7,9 +7,11 @@ from typing import Any
 
 import pytest
 
-from imujoco_minari.benchmark import page
+from imujoco_minari.benchmark.figures import few_shot_figures, offline_figures
+from imujoco_minari.benchmark.page import Results, results_page
 from imujoco_minari.benchmark.reproduction import SHOTS, STEPS
 from imujoco_minari.benchmark.scores import few_shot_scores, offline_scores, to_csv
+from imujoco_minari.benchmark.tables import few_shot_tables
 
 VARIANTS = ("hopper-massinc_200_leggeom", "hopper-massdec_50_leggeom", "hopper-frictiondec_50_feet")
 
@@ -107,23 +109,23 @@ def test_the_page_has_every_method_and_its_files_are_reproducible(tmp_path: Path
     from imujoco_minari.pictures.plotting.scores import plot_scores
 
     few_scores, off_scores = few_shot_scores(FEW), offline_scores(OFF)
-    results = page.Results(FEW, OFF, REPRODUCED)
-    text = page.results_page(results, (few_scores, off_scores), "What was found.")
-    assert text == page.results_page(results, (few_shot_scores(FEW), offline_scores(OFF)), "What was found.")
+    results = Results(FEW, OFF, REPRODUCED)
+    text = results_page(results, (few_scores, off_scores), "What was found.")
+    assert text == results_page(results, (few_shot_scores(FEW), offline_scores(OFF)), "What was found.")
     assert text.startswith("# Results\n\nWhat was found.")
     assert "| mine | 25 | 0.15 (" in text
     assert "2 of 3 held-out variants with an expert of their own:" in text
     shared = [line for line in FEW if line["variant"] == VARIANTS[1]]
-    assert "1 of 1 held-out variants:" in page.few_shot_tables(few_shot_scores(shared))
+    assert "1 of 1 held-out variants:" in few_shot_tables(few_shot_scores(shared))
     without = [line for line in FEW if line["budget"] == "5x100" or line["method"] == "told"]
-    assert "| method | steps | 5x100 |\n" in page.few_shot_tables(few_shot_scores(without))
+    assert "| method | steps | 5x100 |\n" in few_shot_tables(few_shot_scores(without))
     assert "| told | 0 | 0.80 (0.80 to 0.80) | 0.80 (0.80 to 0.80) |" in text
     assert "| hopper | medium-expert | 5 | 0.2" in text
     assert "| hopper | medium-expert | 10 | 0.45 (" in text
     assert "| hopper | friction | 0.2" in text
     assert "| fine-tuning | 25 | 0.300 ± 0.000 | 0.500 ± 0.100 | 0.300 ± 0.000 |" in text
     assert "| fine-tuning, published | 25 |  | 0.443 |  | 0.330 |  |  | 0.234 |" in text
-    figures = page.few_shot_figures(few_scores) + page.offline_figures(off_scores)
+    figures = few_shot_figures(few_scores) + offline_figures(off_scores)
     for figure in figures:
         assert f"results-figures/{figure.name}.svg" in text
         labels = (figure.title, figure.x_label, "score")

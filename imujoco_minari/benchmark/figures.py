@@ -1,0 +1,136 @@
+"""The data of the results page's figures: the scores of each method at the ticks of an axis."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from imujoco_minari.benchmark.methods import COMPARISONS
+from imujoco_minari.benchmark.offline import ALGORITHMS, SHIFTED_TIER, TIERS
+from imujoco_minari.benchmark.scores import MethodScore, budgets_of, in_order, typical_variants
+from imujoco_minari.benchmark.tables import TYPICAL_BUDGET
+from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS
+
+# A score and the ends of its interval.
+Interval = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class ScoreFigure:
+    """The data of a figure.
+
+    Attributes:
+        name: file name without ending.
+        title: title of the figure.
+        x_label: label of the x axis; empty for bars.
+        ticks: labels on the x axis.
+        panels: title of a panel -> method -> its score with its interval at each tick.
+    """
+
+    name: str
+    title: str
+    x_label: str
+    ticks: tuple[str, ...]
+    panels: Mapping[str, Mapping[str, Sequence[Interval | None]]]
+
+
+def few_shot_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
+    """Return the figures of few-shot scores: return against data and against steps, by kind of split."""
+    shown = typical_variants(scores)
+    figures = []
+    for kind in dict.fromkeys(_kind(score) for score in shown):
+        chosen = [score for score in shown if _kind(score) == kind]
+        budgets = budgets_of(chosen)
+        steps = sorted({score.steps for score in chosen})
+        last = {score.method: score.steps for score in sorted(chosen, key=lambda score: score.steps)}
+        data, descent = {}, {}
+        for group in dict.fromkeys(score.group for score in chosen):
+            of_group = [score for score in chosen if score.group == group]
+            own = {(s.method, s.budget, s.steps): _interval(s) for s in of_group}
+            title = f"{group}, {of_group[0].variants} variants"
+            fixed = {m: next((i for k, i in own.items() if k[0] == m), None) for m in COMPARISONS}
+            methods = [m for m in in_order({key[0] for key in own}) if m not in COMPARISONS]
+            grey = {f"comparison: {m}": fixed[m] for m in COMPARISONS if fixed[m] and m != "expert"}
+            data[title] = {m: [own.get((m, b, last[m])) for b in budgets] for m in methods} | {
+                name: [interval] * len(budgets) for name, interval in grey.items()
+            }
+            descent[title] = {m: [own.get((m, TYPICAL_BUDGET, s)) for s in steps] for m in methods} | {
+                name: [interval] * len(steps) for name, interval in grey.items()
+            }
+        most, tier = max(steps), chosen[0].tier
+        figures += [
+            ScoreFigure(
+                f"few-shot-{kind}-data",
+                f"Return against data, after {most:,} steps, tier {tier}",
+                "windows x steps demonstrated",
+                tuple(budgets),
+                data,
+            ),
+            ScoreFigure(
+                f"few-shot-{kind}-steps",
+                f"Return against steps, with {TYPICAL_BUDGET} demonstrated, tier {tier}",
+                "gradient steps",
+                tuple(map(str, steps)),
+                descent,
+            ),
+        ]
+    return figures
+
+
+def offline_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
+    """Return the figures of offline scores: by tier, by updates, and by category of shifted variants."""
+    if not scores:
+        return []
+    steps = sorted({score.steps for score in scores})
+    tiers = [tier for tier in TIERS if any(score.tier == tier for score in scores)]
+    by_tier = {tier: (tier, BASE, steps[-1]) for tier in tiers}
+    figures = [_offline_figure("base", "on the base robot", "", by_tier, scores)]
+    for tier in tiers:
+        by_steps = {f"{number:,}": (tier, BASE, number) for number in steps}
+        figures.append(
+            _offline_figure(f"{tier}-steps", f"data of the tier {tier}", "updates", by_steps, scores)
+        )
+    by_category = {
+        category: (SHIFTED_TIER, category, steps[-1])
+        for category in CATEGORIES
+        if any(score.category == category for score in scores)
+    }
+    if by_category:
+        title = f"from {SHIFTED_TIER} data of the base to other variants"
+        figures.append(_offline_figure("shifted", title, "", by_category, scores))
+    return figures
+
+
+def _offline_figure(
+    name: str,
+    title: str,
+    x_label: str,
+    settings: Mapping[str, tuple[str, str, int]],
+    scores: Sequence[MethodScore],
+) -> ScoreFigure:
+    """Return a figure with a panel for each robot.
+
+    Args:
+        name: the end of the figure's name.
+        title: the end of the figure's title.
+        x_label: label of the x axis; empty for bars.
+        settings: label of a tick -> tier, category and number of updates.
+        scores: offline scores.
+    """
+    panels: dict[str, dict[str, list[Interval | None]]] = {}
+    for robot in ROBOTS:
+        own = {(s.method, s.tier, s.category, s.steps): _interval(s) for s in scores if s.group == robot}
+        for method in ALGORITHMS:
+            found = [own.get((method, *setting)) for setting in settings.values()]
+            if any(found):
+                panels.setdefault(robot, {})[method] = found
+    return ScoreFigure(f"offline-{name}", f"Offline learning: {title}", x_label, tuple(settings), panels)
+
+
+def _kind(score: MethodScore) -> str:
+    """Return the kind of a split and the tier, as ``extremes-v1-expert``."""
+    return f"{score.group.partition('-')[2]}-{score.tier}"
+
+
+def _interval(score: MethodScore) -> Interval:
+    return score.iqm, score.low, score.high

@@ -1,0 +1,132 @@
+"""Markdown tables of scores."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from itertools import groupby, product
+from operator import itemgetter
+
+from imujoco_minari.benchmark import reproduction
+from imujoco_minari.benchmark.lines import Line
+from imujoco_minari.benchmark.methods import COMPARISONS
+from imujoco_minari.benchmark.offline import ALGORITHMS, SHIFTED_TIER, TIERS
+from imujoco_minari.benchmark.scores import (
+    ALL,
+    OWN_EXPERT,
+    SHIFTED,
+    MethodScore,
+    budgets_of,
+    few_shot_scores,
+    in_order,
+    typical_variants,
+)
+from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS
+
+# The setting of the table of parts, and of the figure of return against steps.
+TYPICAL_BUDGET = "5x100"
+# Caption, columns and rows.
+Table = tuple[str, list[str], list[list[str]]]
+
+
+def few_shot_tables(scores: Sequence[MethodScore]) -> str:
+    """Return Markdown tables of few-shot scores: by budget, and over parts of the variants."""
+    parts = []
+    for group, tier in dict.fromkeys((score.group, score.tier) for score in scores):
+        own = [score for score in scores if (score.group, score.tier) == (group, tier)]
+        shown = typical_variants(own)
+        count, whole = shown[0].variants, max(score.variants for score in own)
+        which = " with an expert of their own" if shown[0].category == OWN_EXPERT else ""
+        columns, rows = _by_budget(shown)
+        parts.append(
+            f"### {group}, {tier}\n\n{count} of {whole} held-out variants{which}:\n\n{table(columns, rows)}"
+        )
+        typical = [s for s in own if s.budget == TYPICAL_BUDGET or s.method in COMPARISONS]
+        order = (ALL, OWN_EXPERT, *CATEGORIES)
+        categories = [category for category in order if any(s.category == category for s in typical)]
+        rows = []
+        for method in in_order({score.method for score in typical}):
+            most = max(score.steps for score in typical if score.method == method)
+            by = {s.category: s for s in typical if (s.method, s.steps) == (method, most)}
+            rows.append([method, str(most), *(_cell(by.get(category)) for category in categories)])
+        parts.append(
+            f"All held-out variants and parts of them, with {TYPICAL_BUDGET} steps demonstrated:\n\n"
+            + table(["method", "steps", *categories], rows)
+        )
+    return "\n".join(parts)
+
+
+def variant_tables(lines: Sequence[Line]) -> dict[str, list[Table]]:
+    """Return the tables of each held-out variant of few-shot lines: one for each split and tier."""
+    found: dict[str, list[Table]] = {}
+    key = itemgetter("variant", "split", "tier")
+    for (variant, split, tier), own in groupby(sorted(lines, key=key), key):
+        columns, rows = _by_budget([score for score in few_shot_scores(own) if score.category == ALL])
+        found.setdefault(variant, []).append((f"{split}, {tier}", columns, rows))
+    return found
+
+
+def offline_tables(scores: Sequence[MethodScore]) -> str:
+    """Return Markdown tables of offline scores: on the base robots, and on other variants."""
+    methods = [method for method in ALGORITHMS if any(score.method == method for score in scores)]
+    steps = sorted({score.steps for score in scores})
+    found = {(s.group, s.tier, s.category, s.steps, s.method): s for s in scores}
+
+    def cells(robot: str, tier: str, category: str, number: int) -> list[str]:
+        return [_cell(found.get((robot, tier, category, number, method))) for method in methods]
+
+    tiers = [(r, t) for r, t in product(ROBOTS, TIERS) if any((s.group, s.tier) == (r, t) for s in scores)]
+    rows = [[r, t, f"{number:,}", *cells(r, t, BASE, number)] for r, t in tiers for number in steps]
+    text = f"On the base robot:\n\n{table(['robot', 'data', 'updates', *methods], rows)}"
+    shifted = [(s.group, s.category) for s in scores if s.category != BASE]
+    rows = [
+        [robot, category, *cells(robot, SHIFTED_TIER, category, steps[-1])]
+        for robot, category in product(ROBOTS, (SHIFTED, *CATEGORIES))
+        if (robot, category) in shifted
+    ]
+    if rows:
+        caption = f"From {SHIFTED_TIER} data of the base to other variants, after {steps[-1]:,} updates"
+        text += f"\n{caption}:\n\n{table(['robot', 'variants', *methods], rows)}"
+    return text
+
+
+def reproduction_table(lines: Sequence[Line]) -> str:
+    """Return a Markdown table of the errors of the published comparison, ours beside the published."""
+    found = {(row.method, row.windows, row.steps): row for row in reproduction.comparison(lines)}
+    steps = sorted({key[2] for key in found})
+    rows = []
+    for method, windows in dict.fromkeys(key[:2] for key in found):
+        own = [found[method, windows, each] for each in steps]
+        rows.append([method, str(windows), *(f"{row.error:.3f} ± {row.std:.3f}" for row in own)])
+        published = [row.published for row in own]
+        if any(published):
+            shown = ["" if error is None else f"{error:.3f}" for error in published]
+            rows.append([f"{method}, published", str(windows), *shown])
+    return table(["method", "windows", *map(str, steps)], rows)
+
+
+def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a Markdown table."""
+    lines = [columns, ["---"] * len(columns), *rows]
+    return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
+
+
+def _by_budget(scores: Sequence[MethodScore]) -> tuple[list[str], list[list[str]]]:
+    """Return the columns and rows of a table: methods and their steps by budget."""
+    budgets = budgets_of(scores)
+    rows = []
+    for method in in_order({score.method for score in scores}):
+        for steps in sorted({score.steps for score in scores if score.method == method}):
+            found = {s.budget: s for s in scores if (s.method, s.steps) == (method, steps)}
+            if method in COMPARISONS:
+                found = dict.fromkeys(budgets, next(iter(found.values())))
+            rows.append([method, str(steps), *(_cell(found.get(budget)) for budget in budgets)])
+    return ["method", "steps", *budgets], rows
+
+
+def _cell(score: MethodScore | None) -> str:
+    if score is None:
+        return ""
+    # Adding 0.0 turns -0.0 into 0.0.
+    middle, low, high = (round(value, 2) + 0.0 for value in (score.iqm, score.low, score.high))
+    # One run has no interval.
+    return f"{middle:.2f}" if score.runs == 1 else f"{middle:.2f} ({low:.2f} to {high:.2f})"
