@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import logging
+import math
 from pathlib import Path
 from typing import Any
 
@@ -54,17 +55,20 @@ def new_algorithm(method: str, updates: int) -> Any:
     ).create()
 
 
-def published_scores(method: str, robot: str, tier: str, updates: int) -> list[float]:
-    """Return the scores of our lines of these cells on the base robot, one for each seed."""
-    lines = latest(read_lines(RESULTS), offline.CELL) if RESULTS.exists() else []
+def published_scores(method: str, robot: str, tier: str) -> dict[int, list[float]]:
+    """Return the scores of our lines of these cells on the base robot: by updates, one for each seed."""
     wanted, base = (method, robot, tier), f"{robot}-base"
-    own = [line for line in lines if tuple(line[key] for key in ("method", "robot", "tier")) == wanted]
-    found = [(line["results"][base].get(str(updates)), line["references"][base]) for line in own]
-    return [normalised_mean(result["returns"], references) for result, references in found if result]
+    found: dict[int, list[float]] = {}
+    for line in latest(read_lines(RESULTS), offline.CELL):
+        if tuple(line[key] for key in ("method", "robot", "tier")) == wanted:
+            for updates, result in line["results"][base].items():
+                score = normalised_mean(result["returns"], line["references"][base])
+                found.setdefault(int(updates), []).append(score)
+    return found
 
 
 def main() -> None:
-    """Train and evaluate each seed, and print the scores beside ours."""
+    """Train each seed, evaluate it at the checkpoints, and print the scores beside ours."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robot", default="hopper")
     parser.add_argument("--tier", default="medium-expert", choices=offline.TIERS)
@@ -76,23 +80,30 @@ def main() -> None:
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.WARNING))
     base = Variant(options.robot)
     data = to_d3rlpy(arrays(base.dataset_id(options.tier), dtype=np.float32))
-    scores = []
+    checkpoints = offline.OfflineGrid(updates=options.updates).checkpoints()
+    scores: dict[int, list[float]] = {updates: [] for updates in checkpoints}
+
+    def evaluate(algorithm: Any, epoch: int, updates: int) -> None:
+        if updates in scores:
+            returns = episode_returns(algorithm, base, offline.EVALUATION_EPISODES)
+            scores[updates].append(normalised_mean(returns, references(base)))
+            print(f"seed {seed}, {updates:,} updates: d3rlpy {scores[updates][-1]:.3f}", flush=True)
+
     for seed in range(options.seeds):
         d3rlpy.seed(seed)
-        algorithm = new_algorithm(options.method, options.updates)
-        algorithm.fit(
+        new_algorithm(options.method, options.updates).fit(
             data,
             n_steps=options.updates,
-            n_steps_per_epoch=max(options.updates // 10, 1),
+            # Every checkpoint is a whole number of epochs.
+            n_steps_per_epoch=math.gcd(*checkpoints),
+            epoch_callback=evaluate,
             logger_adapter=d3rlpy.logging.NoopAdapterFactory(),
             show_progress=False,
         )
-        returns = episode_returns(algorithm, base, offline.EVALUATION_EPISODES)
-        scores.append(normalised_mean(returns, references(base)))
-        print(f"seed {seed}: d3rlpy {scores[-1]:.3f}", flush=True)
-    ours = published_scores(options.method, options.robot, options.tier, options.updates)
-    shown = f"{np.mean(ours):.3f} (seeds: {len(ours)})" if ours else "not computed"
-    print(f"mean: d3rlpy {np.mean(scores):.3f} (seeds: {len(scores)}), here {shown}")
+    ours = published_scores(options.method, options.robot, options.tier)
+    for updates, own in scores.items():
+        shown = ", ".join(f"{score:.3f}" for score in ours.get(updates, [])) or "not computed"
+        print(f"{updates:,} updates: d3rlpy {', '.join(f'{score:.3f}' for score in own)}; here {shown}")
 
 
 if __name__ == "__main__":
