@@ -49,18 +49,19 @@ TIERS = ("medium", "medium-replay", "medium-expert")
 # The policies of these tiers sample their actions, as those of D4RL do: `imujoco publish --stochastic`. Modes
 # give data with one action for each state, on which the critics of TD3+BC diverge.
 SAMPLED_TIERS = ("medium", "medium-expert")
-# A policy of this tier's data is evaluated on these variants too: a strong change of each category.
+# A policy of this tier's data is evaluated on these variants too: a strong change of each category, on which
+# the base's expert scores less than 1 if the category has such a variant.
 SHIFTED_TIER = "medium-expert"
 SHIFTED = (
     "hopper-massinc_100_torsogeom",
-    "hopper-jointdec_50_legjoint",
+    "hopper-jointdec_50_footjoint",
     "hopper-lengthinc_50_thighgeom",
     "hopper-frictiondec_50_feet",
     "halfcheetah-massinc_100_bfoot",
     "halfcheetah-jointdec_50_bthigh",
     "halfcheetah-lengthinc_50_bshin",
     "halfcheetah-frictiondec_50_feet",
-    "walker2d-massinc_100_torsogeom",
+    "walker2d-massinc_200_torsogeom",
     "walker2d-jointdec_50_thighjoint",
     "walker2d-lengthinc_50_leggeom",
     "walker2d-frictiondec_50_feet",
