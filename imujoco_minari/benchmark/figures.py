@@ -86,9 +86,11 @@ def offline_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
     by_tier = {tier: (tier, BASE, steps[-1]) for tier in tiers}
     figures = [_offline_figure("base", "on the base robot", "", by_tier, scores)]
     for tier in tiers:
-        by_steps = {f"{number:,}": (tier, BASE, number) for number in steps}
+        by_steps = {_short(number): (tier, BASE, number) for number in steps}
         figures.append(
-            _offline_figure(f"{tier}-steps", f"data of the tier {tier}", "updates", by_steps, scores)
+            _offline_figure(
+                f"{tier}-steps", f"return against updates, tier {tier}", "updates", by_steps, scores
+            )
         )
     by_category = {
         category: (SHIFTED_TIER, category, steps[-1])
@@ -130,6 +132,11 @@ def _offline_figure(
 def _kind(score: MethodScore) -> str:
     """Return the kind of a split and the tier, as ``extremes-v1-expert``."""
     return f"{score.group.partition('-')[2]}-{score.tier}"
+
+
+def _short(number: int) -> str:
+    """Return a number as a short text: thousands as ``25k``."""
+    return str(number) if number % 1000 else f"{number // 1000}k"
 
 
 def _interval(score: MethodScore) -> Interval:
