@@ -3,21 +3,29 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from hashlib import sha256
 from pathlib import Path
 
+from imujoco_minari.benchmark import few_shot, offline
 from imujoco_minari.benchmark.lines import policies_sha256, read_lines, references
 from imujoco_minari.benchmark.methods import METHODS, settings_of
 from imujoco_minari.policies import expert_actor
 from imujoco_minari.variants import ROBOTS, Variant, catalogue, held_out
 from imujoco_minari.verification.published import published_entry
 
-LINES_FILE = Path(__file__).parents[2] / "docs" / "results" / "few-shot.jsonl"
-LINES = read_lines(LINES_FILE)
+DOCS = Path(__file__).parents[2] / "docs"
+RESULTS = DOCS / "results"
+LINES = read_lines(RESULTS / few_shot.FILE)
+OFFLINE = read_lines(RESULTS / offline.FILE)
 
 
-def content(variant: str) -> str:
-    return str(published_entry(Variant.parse(variant).dataset_id())["content_sha256"])
+def content(dataset_id: str) -> str:
+    return str(published_entry(dataset_id)["content_sha256"])
+
+
+def digest(dataset_ids: Sequence[str]) -> str:
+    return sha256(" ".join(map(content, dataset_ids)).encode()).hexdigest()
 
 
 def test_each_line_is_of_the_shipped_experts_and_their_published_datasets() -> None:
@@ -26,11 +34,11 @@ def test_each_line_is_of_the_shipped_experts_and_their_published_datasets() -> N
         variant = Variant.parse(line["variant"])
         assert line["policies_sha256"] == policies_sha256((variant.base, variant))
         assert line["references"] == references(variant)
-        assert line["data_sha256"] == content(line["variant"])
+        assert line["data_sha256"] == content(variant.dataset_id())
         assert line["settings"] == settings_of(METHODS[line["method"]](0))
     train = {(line["split"], line["train_sha256"]) for line in LINES if line["train_sha256"]}
-    for split, digest in train:
-        assert digest == sha256(" ".join(map(content, held_out(split).train)).encode()).hexdigest()
+    for split, found in train:
+        assert found == digest([Variant.parse(variant).dataset_id() for variant in held_out(split).train])
 
 
 def test_the_splits_are_whole() -> None:
@@ -43,7 +51,7 @@ def test_the_splits_are_whole() -> None:
 
 
 def test_the_page_counts_the_variants_with_their_own_expert() -> None:
-    text = (LINES_FILE.parents[1] / "results.md").read_text("utf-8")
+    text = (DOCS / "results.md").read_text("utf-8")
     whole = 0
     for robot in ROBOTS:
         weights = {
@@ -57,4 +65,28 @@ def test_the_page_counts_the_variants_with_their_own_expert() -> None:
             whole += own
             if any(line["split"] == split for line in LINES):
                 assert f"### {split}, expert\n\n{own} of {len(test)} held-out variants with" in text
-    assert f"{whole} of the 101." in (LINES_FILE.parents[1] / "benchmark.md").read_text("utf-8")
+    assert f"{whole} of the 101." in (DOCS / "benchmark.md").read_text("utf-8")
+
+
+def test_the_offline_lines_are_whole_and_of_the_shipped_experts() -> None:
+    assert OFFLINE
+    for line in OFFLINE:
+        variants = tuple(map(Variant.parse, line["variants"]))
+        assert line["policies_sha256"] == policies_sha256(variants)
+        assert line["references"] == {str(variant): references(variant) for variant in variants}
+        assert line["settings"] == offline.algorithm_settings(line["method"])
+        assert line["updates"] == offline.OfflineGrid().checkpoints()
+    data = {(line["robot"], line["tier"], line["data_sha256"]) for line in OFFLINE}
+    tiers = {line["tier"] for line in OFFLINE}
+    assert len(data) == len(ROBOTS) * len(tiers)
+    cells = {(line["method"], line["robot"], line["tier"], line["seed"]) for line in OFFLINE}
+    grid = offline.OfflineGrid(tiers=sorted(tiers))
+    assert len(OFFLINE) == len(cells) == grid.cells()
+
+
+def test_the_docs_name_the_variants_of_the_offline_evaluation() -> None:
+    text = (DOCS / "benchmark.md").read_text("utf-8")
+    for robot in ROBOTS:
+        names = [name.partition("-")[2] for name in offline.SHIFTED if name.startswith(robot)]
+        row = " | ".join(f"`{name}`" for name in (robot, *names))
+        assert f"| {row} |" in text
