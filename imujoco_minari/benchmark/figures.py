@@ -7,12 +7,15 @@ from dataclasses import dataclass
 
 from imujoco_minari.benchmark.methods import COMPARISONS
 from imujoco_minari.benchmark.offline import ALGORITHMS, SHIFTED_TIER, TIERS
-from imujoco_minari.benchmark.scores import MethodScore, budgets_of, in_order, typical_variants
-from imujoco_minari.benchmark.tables import TYPICAL_BUDGET
+from imujoco_minari.benchmark.scores import (
+    TYPICAL_BUDGET,
+    Interval,
+    MethodScore,
+    budgets_of,
+    in_order,
+    shown_scores,
+)
 from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS
-
-# A score and the ends of its interval.
-Interval = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,7 @@ class ScoreFigure:
 
 def few_shot_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
     """Return the figures of few-shot scores: return against data and against steps, by kind of split."""
-    shown = typical_variants(scores)
+    shown = shown_scores(scores)
     figures = []
     for kind in dict.fromkeys(_kind(score) for score in shown):
         chosen = [score for score in shown if _kind(score) == kind]
@@ -46,7 +49,7 @@ def few_shot_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
         data, descent = {}, {}
         for group in dict.fromkeys(score.group for score in chosen):
             of_group = [score for score in chosen if score.group == group]
-            own = {(s.method, s.budget, s.steps): _interval(s) for s in of_group}
+            own = {(s.method, s.budget, s.steps): s.interval for s in of_group}
             title = f"{group}, {of_group[0].variants} variants"
             fixed = {m: next((i for k, i in own.items() if k[0] == m), None) for m in COMPARISONS}
             methods = [m for m in in_order({key[0] for key in own}) if m not in COMPARISONS]
@@ -121,7 +124,7 @@ def _offline_figure(
     """
     panels: dict[str, dict[str, list[Interval | None]]] = {}
     for robot in ROBOTS:
-        own = {(s.method, s.tier, s.category, s.steps): _interval(s) for s in scores if s.group == robot}
+        own = {(s.method, s.tier, s.category, s.steps): s.interval for s in scores if s.group == robot}
         for method in ALGORITHMS:
             found = [own.get((method, *setting)) for setting in settings.values()]
             if any(found):
@@ -137,7 +140,3 @@ def _kind(score: MethodScore) -> str:
 def _short(number: int) -> str:
     """Return a number as a short text: thousands as ``25k``."""
     return str(number) if number % 1000 else f"{number // 1000}k"
-
-
-def _interval(score: MethodScore) -> Interval:
-    return score.iqm, score.low, score.high

@@ -52,7 +52,7 @@ SAMPLED_TIERS = ("medium", "medium-expert")
 # A policy of this tier's data is evaluated on these variants too: a strong change of each category, on which
 # the base's expert scores less than 1 if the category has such a variant.
 SHIFTED_TIER = "medium-expert"
-SHIFTED = (
+SHIFTED_VARIANTS = (
     "hopper-massinc_100_torsogeom",
     "hopper-jointdec_50_footjoint",
     "hopper-lengthinc_50_thighgeom",
@@ -172,7 +172,7 @@ def _lines(grid: OfflineGrid) -> Iterator[Line]:
     for seed in grid.seeds:
         for robot in grid.robots:
             base = Variant(robot)
-            shifted = [variant for variant in map(Variant.parse, SHIFTED) if variant.robot == robot]
+            shifted = [variant for variant in map(Variant.parse, SHIFTED_VARIANTS) if variant.robot == robot]
             for tier in grid.tiers:
                 variants = (base, *(shifted if tier == SHIFTED_TIER else ()))
                 for name in grid.methods:

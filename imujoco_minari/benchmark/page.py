@@ -9,7 +9,7 @@ from pathlib import Path
 from imujoco_minari.benchmark import few_shot, offline, reproduction
 from imujoco_minari.benchmark.figures import few_shot_figures, offline_figures
 from imujoco_minari.benchmark.lines import Line, latest, read_lines
-from imujoco_minari.benchmark.scores import MethodScore
+from imujoco_minari.benchmark.scores import MethodScore, few_shot_scores, offline_scores
 from imujoco_minari.benchmark.tables import few_shot_tables, offline_tables, reproduction_table
 from imujoco_minari.errors import BenchmarkError
 
@@ -38,6 +38,10 @@ class Results:
     def all(self) -> list[Line]:
         """Return all lines."""
         return [*self.few_shot, *self.offline, *self.reproduction]
+
+    def scores(self) -> tuple[list[MethodScore], list[MethodScore]]:
+        """Return the scores of the few-shot lines and those of the offline lines."""
+        return few_shot_scores(self.few_shot), offline_scores(self.offline)
 
 
 def read_results(folder: Path) -> Results:

@@ -27,6 +27,10 @@ ALL = "all"
 OWN_EXPERT = "own-expert"
 # The variants that offline data do not contain.
 SHIFTED = "shifted"
+# The setting of the table of parts, and of the figure of return against steps.
+TYPICAL_BUDGET = "5x100"
+# A score and the ends of its interval.
+Interval = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -62,6 +66,11 @@ class MethodScore:
     error: float
     variants: int
     runs: int
+
+    @property
+    def interval(self) -> Interval:
+        """The score and the ends of its interval."""
+        return self.iqm, self.low, self.high
 
 
 # The first fields of a score.
@@ -111,8 +120,8 @@ def offline_scores(lines: Iterable[Line]) -> list[MethodScore]:
     return list(filter(None, (_score(key, values, float("nan")) for key, values in returns.items())))
 
 
-def typical_variants(scores: Sequence[MethodScore]) -> list[MethodScore]:
-    """Return the scores over variants with their own expert, or over all variants of a split without any."""
+def shown_scores(scores: Sequence[MethodScore]) -> list[MethodScore]:
+    """Return the scores that figures show: of variants with their own expert, or of all if there are none."""
     has_own = {(s.group, s.tier) for s in scores if s.category == OWN_EXPERT}
     return [s for s in scores if s.category == (OWN_EXPERT if (s.group, s.tier) in has_own else ALL)]
 

@@ -14,16 +14,15 @@ from imujoco_minari.benchmark.scores import (
     ALL,
     OWN_EXPERT,
     SHIFTED,
+    TYPICAL_BUDGET,
     MethodScore,
     budgets_of,
     few_shot_scores,
     in_order,
-    typical_variants,
+    shown_scores,
 )
 from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS
 
-# The setting of the table of parts, and of the figure of return against steps.
-TYPICAL_BUDGET = "5x100"
 # Caption, columns and rows.
 Table = tuple[str, list[str], list[list[str]]]
 
@@ -33,7 +32,7 @@ def few_shot_tables(scores: Sequence[MethodScore]) -> str:
     parts = []
     for group, tier in dict.fromkeys((score.group, score.tier) for score in scores):
         own = [score for score in scores if (score.group, score.tier) == (group, tier)]
-        shown = typical_variants(own)
+        shown = shown_scores(own)
         count, whole = shown[0].variants, max(score.variants for score in own)
         which = " with an expert of their own" if shown[0].category == OWN_EXPERT else ""
         columns, rows = _by_budget(shown)
@@ -127,6 +126,6 @@ def _cell(score: MethodScore | None) -> str:
     if score is None:
         return ""
     # Adding 0.0 turns -0.0 into 0.0.
-    middle, low, high = (round(value, 2) + 0.0 for value in (score.iqm, score.low, score.high))
+    middle, low, high = (round(value, 2) + 0.0 for value in score.interval)
     # One run has no interval.
     return f"{middle:.2f}" if score.runs == 1 else f"{middle:.2f} ({low:.2f} to {high:.2f})"

@@ -196,11 +196,12 @@ def table(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = Fal
     Example: `imujoco benchmark table results --output scores.csv`
     """
     from imujoco_minari.benchmark.page import read_results
-    from imujoco_minari.benchmark.scores import few_shot_scores, offline_scores, to_csv
+    from imujoco_minari.benchmark.scores import to_csv
     from imujoco_minari.storage.files import write_text
 
     results = read_results(folder)
-    scores = few_shot_scores(results.few_shot) + offline_scores(results.offline)
+    few_scores, off_scores = results.scores()
+    scores = few_scores + off_scores
     if output is not None:
         write_text(output, to_csv(scores))
     _show(scores, as_json)
@@ -218,12 +219,12 @@ def page(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = Fals
     """
     from imujoco_minari.benchmark.figures import few_shot_figures, offline_figures
     from imujoco_minari.benchmark.page import read_results, results_page
-    from imujoco_minari.benchmark.scores import few_shot_scores, offline_scores, to_csv
+    from imujoco_minari.benchmark.scores import to_csv
     from imujoco_minari.pictures.plotting.scores import plot_scores
     from imujoco_minari.storage.files import write_text
 
     results = read_results(folder)
-    scores = few_shot_scores(results.few_shot), offline_scores(results.offline)
+    scores = results.scores()
     target = output or Path("docs")
     figures = few_shot_figures(scores[0]) + offline_figures(scores[1])
     files: list[Path] = []
