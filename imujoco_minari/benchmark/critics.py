@@ -8,7 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from imujoco_minari.benchmark.networks import HIDDEN, Network, Update, forward, iterate, new_network, padded
+from imujoco_minari.benchmark.networks import (
+    HIDDEN,
+    Initial,
+    Network,
+    Update,
+    forward,
+    iterate,
+    new_network,
+    padded,
+)
 from imujoco_minari.loading import Arrays, Statistics
 from imujoco_minari.policies import Array
 from imujoco_minari.training.agents import import_jax
@@ -33,10 +42,10 @@ def draw_transitions(key: Any, data: tuple[Any, ...], batch: int) -> tuple[Any, 
     return tuple(column[chosen] for column in columns)
 
 
-def new_critics(observation: int, action: int, seed: int) -> tuple[Network, Network]:
+def new_critics(observation: int, action: int, seed: int, initial: Initial) -> tuple[Network, Network]:
     """Return two critics with different weights."""
     sizes = (observation + action, *HIDDEN, 1)
-    return new_network(sizes, seed + 1000), new_network(sizes, seed + 2000)
+    return new_network(sizes, seed + 1000, initial), new_network(sizes, seed + 2000, initial)
 
 
 def values(critics: tuple[Network, Network], observations: Any, actions: Any) -> tuple[Any, Any]:

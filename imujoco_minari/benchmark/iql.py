@@ -20,6 +20,7 @@ from imujoco_minari.benchmark.critics import (
 )
 from imujoco_minari.benchmark.networks import (
     HIDDEN,
+    Initial,
     Update,
     adam,
     forward,
@@ -47,6 +48,7 @@ class Iql:
         expectile: expectile of the critics' values that the state value learns.
         sharpness: factor of the advantage in the exponent of an action's weight.
         weight_limit: largest weight of an action.
+        initial: distribution of the initial weights.
     """
 
     seed: int
@@ -58,14 +60,16 @@ class Iql:
     expectile: float = 0.7
     sharpness: float = 3.0
     weight_limit: float = 100.0
+    initial: Initial = "pytorch"
 
     def train(self, data: Arrays) -> dict[int, Actor]:
         """Return the policy at each checkpoint."""
         statistics = robust_statistics(data.observations)
         observation, action = data.observations.shape[1], data.actions.shape[1]
-        actor = (new_policy(data.observations, data.actions, self.seed), np.zeros(action, np.float32))
-        critics = new_critics(observation, action, self.seed)
-        value = new_network((observation, *HIDDEN, 1), self.seed + 3000)
+        policy = new_policy(data.observations, data.actions, self.seed, self.initial)
+        actor = (policy, np.zeros(action, np.float32))
+        critics = new_critics(observation, action, self.seed, self.initial)
+        value = new_network((observation, *HIDDEN, 1), self.seed + 3000, self.initial)
         moments = tuple(adam().init(part) for part in (actor, critics, value))
         # As in the paper: the returns of the episodes span 1000.
         spread = float(np.ptp(data.returns))
@@ -104,7 +108,7 @@ def _update(settings: Iql) -> Update:
 
         def actor_loss(actor: Any) -> Any:
             network, log_std = actor
-            log_std = jnp.clip(log_std, -20.0, 2.0)
+            log_std = jnp.clip(log_std, -5.0, 2.0)
             error = (actions - jnp.tanh(forward(network, observations))) / jnp.exp(log_std)
             return (weight * (0.5 * error**2 + log_std).sum(axis=-1)).mean()
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import cache
 from itertools import pairwise
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -19,6 +19,8 @@ from imujoco_minari.training.agents import import_jax
 
 # One (weight (in, out), bias (out,)) for each layer.
 Network = list[tuple[Any, Any]]
+# A distribution of initial weights.
+Initial = Literal["lecun", "pytorch"]
 # Returns the loss of a network on a random batch: (network, key, data) -> scalar.
 Loss = Callable[[Any, Any, Any], Any]
 # Returns the next state of an iteration: (state, key, data) -> state.
@@ -29,26 +31,28 @@ BATCH = 128
 _LEAST_ROWS = 1024
 
 
-def new_network(sizes: Sequence[int], seed: int) -> Network:
+def new_network(sizes: Sequence[int], seed: int, initial: Initial = "lecun") -> Network:
     """Return a network with random weights.
 
     Args:
         sizes: number of inputs, of units in each hidden layer, and of outputs.
-        seed: seed of the weights, which are uniform with the variance 1 / inputs; biases are zero.
+        seed: seed of the weights.
+        initial: distribution of the weights of a layer, which is uniform: ``lecun`` has the variance
+            1 / inputs and biases of zero, ``pytorch`` has weights and biases within 1 / sqrt(inputs).
     """
     rng = np.random.default_rng(seed)
-    return [
-        (
-            rng.uniform(-1.0, 1.0, (inputs, outputs)).astype(np.float32) * np.float32((3.0 / inputs) ** 0.5),
-            np.zeros(outputs, np.float32),
-        )
-        for inputs, outputs in pairwise(sizes)
-    ]
+    layers = []
+    for inputs, outputs in pairwise(sizes):
+        limit = np.float32(((3.0 if initial == "lecun" else 1.0) / inputs) ** 0.5)
+        weight = rng.uniform(-1.0, 1.0, (inputs, outputs)).astype(np.float32) * limit
+        bias = np.zeros(outputs) if initial == "lecun" else rng.uniform(-limit, limit, outputs)
+        layers.append((weight, bias.astype(np.float32)))
+    return layers
 
 
-def new_policy(inputs: Array, actions: Array, seed: int) -> Network:
-    """Return a network with random weights, from inputs (N, in) to actions (N, act)."""
-    return new_network((inputs.shape[1], *HIDDEN, actions.shape[1]), seed)
+def new_policy(inputs: Array, actions: Array, seed: int, initial: Initial = "lecun") -> Network:
+    """Return a :func:`new_network` from inputs (N, in) to actions (N, act)."""
+    return new_network((inputs.shape[1], *HIDDEN, actions.shape[1]), seed, initial)
 
 
 def forward(network: Network, inputs: Any) -> Any:

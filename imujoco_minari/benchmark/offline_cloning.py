@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imujoco_minari.benchmark.cloning import robust_statistics
-from imujoco_minari.benchmark.networks import clone, new_policy, to_actor
+from imujoco_minari.benchmark.networks import Initial, clone, new_policy, to_actor
 from imujoco_minari.loading import Arrays
 from imujoco_minari.policies import Actor
 
@@ -22,6 +22,7 @@ class Cloning:
         best: share of the steps to clone, of the episodes with the highest returns.
         rate: learning rate.
         batch: rows of a batch.
+        initial: distribution of the initial weights.
     """
 
     seed: int
@@ -29,6 +30,7 @@ class Cloning:
     best: float = 1.0
     rate: float = 3e-4
     batch: int = 128
+    initial: Initial = "pytorch"
 
     def train(self, data: Arrays) -> dict[int, Actor]:
         """Return the policy at each checkpoint."""
@@ -38,7 +40,7 @@ class Cloning:
         kept = data.select(np.sort(order[: 1 + np.searchsorted(steps, self.best * len(data))]))
         statistics = robust_statistics(kept.observations)
         inputs = statistics.normalize(kept.observations)
-        network = new_policy(inputs, kept.actions, self.seed)
+        network = new_policy(inputs, kept.actions, self.seed, self.initial)
         networks = clone(
             network, inputs, kept.actions, self.checkpoints, rate=self.rate, seed=self.seed, batch=self.batch
         )

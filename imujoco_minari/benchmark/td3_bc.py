@@ -18,7 +18,15 @@ from imujoco_minari.benchmark.critics import (
     transition_data,
     values,
 )
-from imujoco_minari.benchmark.networks import Update, adam, forward, minimise, new_policy, to_actor
+from imujoco_minari.benchmark.networks import (
+    Initial,
+    Update,
+    adam,
+    forward,
+    minimise,
+    new_policy,
+    to_actor,
+)
 from imujoco_minari.loading import Arrays
 from imujoco_minari.policies import Actor
 from imujoco_minari.training.agents import import_jax
@@ -39,6 +47,7 @@ class Td3Bc:
         noise: standard deviation of the noise on the target's actions.
         noise_limit: largest noise on the target's actions.
         weight: weight of the critic's value, relative to its mean size, against the imitation.
+        initial: distribution of the initial weights.
     """
 
     seed: int
@@ -50,13 +59,14 @@ class Td3Bc:
     noise: float = 0.2
     noise_limit: float = 0.5
     weight: float = 2.5
+    initial: Initial = "pytorch"
 
     def train(self, data: Arrays) -> dict[int, Actor]:
         """Return the policy at each checkpoint."""
         statistics = robust_statistics(data.observations)
         observation, action = data.observations.shape[1], data.actions.shape[1]
-        actor = new_policy(data.observations, data.actions, self.seed)
-        critics = new_critics(observation, action, self.seed)
+        actor = new_policy(data.observations, data.actions, self.seed, self.initial)
+        critics = new_critics(observation, action, self.seed, self.initial)
         moments = (adam().init(actor), adam().init(critics))
         state = (np.int32(0), actor, critics, actor, critics, moments)
         states = run_updates(self, _update, state, transition_data(data, statistics))

@@ -67,6 +67,17 @@ def test_cloning_learns_the_actions() -> None:
     assert after < 0.01 < before
 
 
+@pytest.mark.parametrize(("initial", "variance"), [("lecun", 1 / 400), ("pytorch", 1 / 1200)])
+def test_initial_weights_are_uniform_and_have_their_variance(
+    initial: networks.Initial, variance: float
+) -> None:
+    (weight, bias), _ = networks.new_network((400, 2000, 1), seed=4, initial=initial)
+    assert np.abs(weight).max() == pytest.approx((3 * variance) ** 0.5, rel=1e-4)
+    assert weight.var() == pytest.approx(variance, rel=0.01)
+    assert bias.var() == pytest.approx(0.0 if initial == "lecun" else variance, rel=0.1)
+    assert weight.dtype == bias.dtype == np.float32
+
+
 @pytest.mark.parametrize("counts", [(1, 3), (2, 2)])
 def test_rows_are_drawn_within_their_blocks(counts: tuple[int, int]) -> None:
     jax = networks.import_jax()
