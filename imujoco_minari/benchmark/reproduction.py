@@ -21,6 +21,7 @@ from imujoco_minari.benchmark.cloning import robust_statistics
 from imujoco_minari.benchmark.lines import Line, data_sha256, measure_each, run_lines, versions
 from imujoco_minari.benchmark.maml import variant_blocks
 from imujoco_minari.benchmark.networks import (
+    Initial,
     Loss,
     Network,
     Update,
@@ -65,6 +66,7 @@ class Choices:
         tuning_rate: learning rate of the fine-tuning, by Adam on all rows.
         query_windows: windows of a meta-training query.
         test_windows: windows of a held-out variant on which the error is measured.
+        initial: distribution of the initial weights.
     """
 
     meta_steps: int = 10_000
@@ -74,6 +76,7 @@ class Choices:
     tuning_rate: float = 5e-4
     query_windows: int = 1
     test_windows: int = 50
+    initial: Initial = "pytorch"
 
 
 DEFAULT = Choices()
@@ -153,7 +156,8 @@ def _run_line(line: Line) -> Line:
     inputs, targets = (
         s.normalize(x) for s, x in zip(scales, (train.observations, train.actions), strict=True)
     )
-    network = new_network((inputs.shape[1], *HIDDEN, targets.shape[1]), line["seed"])
+    sizes = (inputs.shape[1], *HIDDEN, targets.shape[1])
+    network = new_network(sizes, line["seed"], choices.initial)
     data: tuple[Any, ...] = (padded(inputs), padded(targets))
     if line["method"] == "maml":
         steps, loss = choices.meta_steps, _meta_loss(choices.query_windows)
