@@ -16,7 +16,7 @@ from imujoco_minari.errors import BenchmarkError
 _HOW = """[The benchmark](benchmark.md) defines every setting. A score is a normalised return: 0 is the random
 policy's and 1 the expert's of the same variant. It is an interquartile mean over variants and seeds, with its
 95 % bootstrap interval over seeds. `imujoco benchmark page` makes this page from the result lines, and
-`results.csv` beside it has every number."""
+`results.csv` beside it has every score."""
 _REPRODUCED = """The relative error of the actions on the held-out variants of HalfCheetah, by gradient
 steps: the mean of the seeds ± their standard deviation."""
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from imujoco_minari.benchmark.few_shot import FewShotGrid
     from imujoco_minari.benchmark.lines import Line
     from imujoco_minari.benchmark.offline import OfflineGrid
+    from imujoco_minari.benchmark.reproduction import Comparison
     from imujoco_minari.benchmark.scores import MethodScore
     from imujoco_minari.publishing.recipes import Recipe
 
@@ -31,6 +32,7 @@ app.add_typer(benchmark, name="benchmark")
 
 RESULTS = Path("results")
 _COLUMNS = ("method", "steps", "data", "score", "low", "high", "error", "variants", "seeds")
+_ERROR_COLUMNS = ("method", "windows", "steps", "error", "std", "published")
 
 Folder = Annotated[Path, typer.Argument(metavar="FOLDER", help="The folder of result lines.")]
 Methods = Annotated[
@@ -178,33 +180,36 @@ def reproduce(
     rows = reproduction.comparison(lines)
     if as_json:
         print_json([row._asdict() for row in rows])
-        return
-    columns = reproduction.Comparison._fields
-    shown = [
-        ["" if v is None else f"{v:.3f}" if isinstance(v, float) else str(v) for v in row] for row in rows
-    ]
-    print_table(columns, shown, numeric=columns[1:])
+    else:
+        _show_comparison(rows)
 
 
 @benchmark.command()
 def table(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = False) -> None:
     """Compute every score from result lines, and print them.
 
-    --output writes them as CSV too. It states which lines do not match the published datasets, policies and
+    The errors of the published comparison follow them, if it is in the lines. --output writes the scores as
+    CSV too. It states which lines do not match the published datasets, policies and
     settings, because one of them has changed since.
 
     Example: `imujoco benchmark table results --output scores.csv`
     """
     from imujoco_minari.benchmark.page import read_results
+    from imujoco_minari.benchmark.reproduction import comparison
     from imujoco_minari.benchmark.scores import to_csv
     from imujoco_minari.storage.files import write_text
 
     results = read_results(folder)
     few_scores, off_scores = results.scores()
-    scores = few_scores + off_scores
+    scores, rows = few_scores + off_scores, comparison(results.reproduction)
     if output is not None:
         write_text(output, to_csv(scores))
-    _show(scores, as_json)
+    if as_json:
+        print_json({"scores": list(map(vars, scores)), "comparison": [row._asdict() for row in rows]})
+    else:
+        _show(scores)
+        if rows:
+            _show_comparison(rows)
     _say_changed(results.all())
 
 
@@ -302,15 +307,23 @@ def _publish(recipes: Sequence[Recipe], jobs: int, *, quiet: bool) -> None:
             raise BenchmarkError(outcome.error)
 
 
-def _show(scores: Sequence[MethodScore], as_json: bool) -> None:
+def _show(scores: Sequence[MethodScore], as_json: bool = False) -> None:
     if as_json:
-        print_json([vars(score) for score in scores])
+        print_json(list(map(vars, scores)))
         return
     for group, tier, category in sorted({(s.group, s.tier, s.category) for s in scores}):
         own = [s for s in scores if (s.group, s.tier, s.category) == (group, tier, category)]
         out.print(f"{group}, {tier}, {category} variants")
         print_table(_COLUMNS, [_row(score) for score in own], numeric=_COLUMNS[1:2] + _COLUMNS[3:])
         out.print("")
+
+
+def _show_comparison(rows: Sequence[Comparison]) -> None:
+    shown = [
+        ["" if v is None else f"{v:.3f}" if isinstance(v, float) else str(v) for v in row] for row in rows
+    ]
+    out.print("Errors of the actions in the published comparison")
+    print_table(_ERROR_COLUMNS, shown, numeric=_ERROR_COLUMNS[1:])
 
 
 def _row(score: MethodScore) -> list[str]:

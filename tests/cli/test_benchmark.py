@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from actor_datasets import publish_actors
 
+from imujoco_minari.benchmark import reproduction
 from imujoco_minari.cli.app import run
 from imujoco_minari.cli.benchmark import _holding_out
 from imujoco_minari.publishing.publisher import publish
@@ -26,7 +27,7 @@ def test_a_cell_becomes_a_line_a_table_and_a_page(
     assert {score["method"] for score in computed} == {"random"}
     assert run(["benchmark", "table", results, "--output", str(tmp_path / "scores.csv"), "--json"]) == 0
     table = capsys.readouterr()
-    assert json.loads(table.out) == computed
+    assert json.loads(table.out) == {"scores": computed, "comparison": []}
     assert "changed" not in table.err
     assert len((tmp_path / "scores.csv").read_text("utf-8").splitlines()) == 1 + len(computed)
     assert run(["benchmark", "page", results, "--output", page]) == 0
@@ -35,6 +36,21 @@ def test_a_cell_becomes_a_line_a_table_and_a_page(
     capsys.readouterr()
     assert run(["benchmark", "table", results]) == 0
     assert "imujoco/hopper-frictiondec_50_feet-v0 has changed (lines: 1)" in capsys.readouterr().err
+
+
+def test_the_table_shows_the_published_comparison(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    errors = {str(shots): {str(steps): 0.3 for steps in reproduction.STEPS} for shots in reproduction.SHOTS}
+    line = {"protocol": reproduction.NAME, "method": "maml", "seed": 0, "settings": {}, "results": errors}
+    line |= {"train_sha256": "", "data_sha256": "", "versions": {}}
+    (tmp_path / reproduction.FILE).write_text(json.dumps(line) + "\n", "utf-8")
+    assert run(["benchmark", "table", str(tmp_path), "--json"]) == 0
+    table = json.loads(capsys.readouterr().out)
+    shown = next(row for row in table["comparison"] if (row["windows"], row["steps"]) == (25, 5))
+    assert (table["scores"], shown["error"], shown["published"]) == ([], 0.3, 0.38)
+    assert run(["benchmark", "table", str(tmp_path)]) == 0
+    output = capsys.readouterr()
+    assert output.out.split("\n")[0] == "Errors of the actions in the published comparison"
+    assert "the settings of maml have changed (lines: 1)" in output.err
 
 
 def test_a_dry_run_computes_nothing(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
