@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from imujoco_minari.benchmark.lines import Line
 from imujoco_minari.benchmark.methods import COMPARISONS
 from imujoco_minari.benchmark.offline import ALGORITHMS, SHIFTED_TIER, TIERS
+from imujoco_minari.benchmark.reproduction import comparison
 from imujoco_minari.benchmark.scores import (
     TYPICAL_BUDGET,
     Interval,
@@ -28,6 +30,7 @@ class ScoreFigure:
         x_label: label of the x axis; empty for bars.
         ticks: labels on the x axis.
         panels: title of a panel -> method -> its score with its interval at each tick.
+        y_label: label of the y axis.
     """
 
     name: str
@@ -35,6 +38,7 @@ class ScoreFigure:
     x_label: str
     ticks: tuple[str, ...]
     panels: Mapping[str, Mapping[str, Sequence[Interval | None]]]
+    y_label: str = "normalised return (interquartile mean)"
 
 
 def few_shot_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
@@ -104,6 +108,28 @@ def offline_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
         title = f"from {SHIFTED_TIER} data of the base to other variants"
         figures.append(_offline_figure("shifted", title, "", by_category, scores))
     return figures
+
+
+def reproduction_figures(lines: Sequence[Line]) -> list[ScoreFigure]:
+    """Return the figure of the published comparison: error against steps, by number of windows."""
+    rows = comparison(lines)
+    if not rows:
+        return []
+    panels: dict[str, dict[str, list[Interval | None]]] = {}
+    for method, windows in dict.fromkeys((row.method, row.windows) for row in rows):
+        own = [row for row in rows if (row.method, row.windows) == (method, windows)]
+        panel = panels.setdefault(f"windows: {windows}", {})
+        panel[method] = [(row.error, row.error - row.std, row.error + row.std) for row in own]
+        published = [row.published for row in own]
+        if any(published):
+            panel[f"comparison: {method}, published"] = [
+                None if error is None else (error, error, error) for error in published
+            ]
+    ticks = tuple(dict.fromkeys(str(row.steps) for row in rows))
+    title = "The published comparison on HalfCheetah: mean of the seeds and standard deviation"
+    return [
+        ScoreFigure("reproduction", title, "gradient steps", ticks, panels, "relative error of the actions")
+    ]
 
 
 def _offline_figure(

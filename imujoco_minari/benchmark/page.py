@@ -7,7 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from imujoco_minari.benchmark import few_shot, offline, reproduction
-from imujoco_minari.benchmark.figures import few_shot_figures, offline_figures
+from imujoco_minari.benchmark.figures import (
+    ScoreFigure,
+    few_shot_figures,
+    offline_figures,
+    reproduction_figures,
+)
 from imujoco_minari.benchmark.lines import Line, latest, read_lines
 from imujoco_minari.benchmark.scores import MethodScore, few_shot_scores, offline_scores
 from imujoco_minari.benchmark.tables import few_shot_tables, offline_tables, reproduction_table
@@ -75,12 +80,16 @@ def results_page(
         ("Offline learning", results.offline, off_scores, offline_figures, offline_tables),
     ):
         if lines:
-            drawn = [f"![{each.title}](results-figures/{each.name}.svg)" for each in figures(own)]
-            parts += [f"## {title}", _note(lines), *drawn, tables(own)]
+            parts += [f"## {title}", _note(lines), *_drawn(figures(own)), tables(own)]
     if results.reproduction:
         title, lines = "The published comparison", results.reproduction
-        parts += [f"## {title}", _REPRODUCED, _note(lines), reproduction_table(lines)]
+        drawn = _drawn(reproduction_figures(lines))
+        parts += [f"## {title}", _REPRODUCED, _note(lines), *drawn, reproduction_table(lines)]
     return "\n\n".join(part.strip() for part in parts if part) + "\n"
+
+
+def _drawn(figures: Sequence[ScoreFigure]) -> list[str]:
+    return [f"![{figure.title}](results-figures/{figure.name}.svg)" for figure in figures]
 
 
 def _note(lines: Sequence[Line]) -> str:

@@ -222,7 +222,7 @@ def page(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = Fals
 
     Example: `imujoco benchmark page results --output docs`
     """
-    from imujoco_minari.benchmark.figures import few_shot_figures, offline_figures
+    from imujoco_minari.benchmark.figures import few_shot_figures, offline_figures, reproduction_figures
     from imujoco_minari.benchmark.page import read_results, results_page
     from imujoco_minari.benchmark.scores import to_csv
     from imujoco_minari.pictures.plotting.scores import plot_scores
@@ -232,9 +232,10 @@ def page(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = Fals
     scores = results.scores()
     target = output or Path("docs")
     figures = few_shot_figures(scores[0]) + offline_figures(scores[1])
+    figures += reproduction_figures(results.reproduction)
     files: list[Path] = []
     for figure in figures:
-        labels = (figure.title, figure.x_label, "normalised return (interquartile mean)")
+        labels = (figure.title, figure.x_label, figure.y_label)
         stem = target / "results-figures" / figure.name
         files += plot_scores(figure.panels, figure.ticks, labels, stem)
     findings = folder / "findings.md"

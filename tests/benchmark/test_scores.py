@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from imujoco_minari.benchmark.figures import few_shot_figures, offline_figures
+from imujoco_minari.benchmark.figures import few_shot_figures, offline_figures, reproduction_figures
 from imujoco_minari.benchmark.page import Results, results_page
 from imujoco_minari.benchmark.reproduction import SHOTS, STEPS
 from imujoco_minari.benchmark.scores import few_shot_scores, offline_scores, to_csv
@@ -125,10 +125,11 @@ def test_the_page_has_every_method_and_its_files_are_reproducible(tmp_path: Path
     assert "| hopper | friction | 0.2" in text
     assert "| fine-tuning | 25 | 0.300 ± 0.000 | 0.500 ± 0.100 | 0.300 ± 0.000 |" in text
     assert "| fine-tuning, published | 25 |  | 0.443 |  | 0.330 |  |  | 0.234 |" in text
-    figures = few_shot_figures(few_scores) + offline_figures(off_scores)
+    figures = few_shot_figures(few_scores) + offline_figures(off_scores) + reproduction_figures(REPRODUCED)
+    assert figures[-1].name == "reproduction"
     for figure in figures:
         assert f"results-figures/{figure.name}.svg" in text
-        labels = (figure.title, figure.x_label, "score")
+        labels = (figure.title, figure.x_label, figure.y_label)
         files = plot_scores(figure.panels, figure.ticks, labels, tmp_path / figure.name)
         svg = files[-1].read_text("utf-8")
         for method in {method for panel in figure.panels.values() for method in panel}:
