@@ -40,7 +40,7 @@ from imujoco_minari.variants import ROBOTS, Variant
 
 NAME = "offline-v1"
 FILE = "offline.jsonl"
-CELL = ("protocol", "method", "robot", "tier", "seed", "updates")
+CELL = ("protocol", "method", "robot", "tier", "seed", "checkpoints")
 UPDATES = 250_000
 # The policy is evaluated after these parts of the updates.
 PARTS = (0.1, 0.2, 0.4, 1.0)
@@ -183,7 +183,7 @@ def _lines(grid: OfflineGrid) -> Iterator[Line]:
                         "robot": robot,
                         "tier": tier,
                         "seed": seed,
-                        "updates": grid.checkpoints(),
+                        "checkpoints": grid.checkpoints(),
                         "episodes": grid.episodes,
                         "variants": [str(variant) for variant in variants],
                         "data_sha256": digest((base.dataset_id(tier),)),
@@ -205,7 +205,7 @@ def _check_sampled(recipe: Recipe) -> None:
 def _run_cell(line: Line) -> Line:
     start = time.process_time()
     data = arrays(Variant(line["robot"]).dataset_id(line["tier"]), dtype=np.float32)
-    policies = ALGORITHMS[line["method"]](line["seed"], tuple(line["updates"])).train(data)
+    policies = ALGORITHMS[line["method"]](line["seed"], tuple(line["checkpoints"])).train(data)
     training = time.process_time() - start
     variants = [Variant.parse(variant) for variant in line["variants"]]
     found = {

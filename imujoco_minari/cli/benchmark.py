@@ -133,8 +133,9 @@ def offline(
     """Run offline reinforcement learning on the bases' datasets.
 
     Each algorithm learns from a dataset and is evaluated on the base robot; after medium-expert data also
-    on four variants. Each cell becomes a line of offline.jsonl in the folder `results`, unless --output
-    names another. A killed run continues where it stopped. Datasets that are missing are published first.
+    on four variants. It is evaluated after a tenth, a fifth, two fifths and all of the updates. Each cell
+    becomes a line of offline.jsonl in the folder `results`, unless --output names another. A killed run
+    continues where it stopped. Datasets that are missing are published first.
 
     Example: `imujoco benchmark offline --method td3+bc --base hopper --tier medium-expert --seeds 1`
     """

@@ -42,7 +42,7 @@ def offline_line(method: str, seed: int, score: float) -> dict[str, Any]:
         "robot": "hopper",
         "tier": "medium-expert",
         "seed": seed,
-        "updates": [5, 10],
+        "checkpoints": [5, 10],
         "versions": {"jax": "1.0"},
         "references": {name: [0.0, 100.0] for name in names},
         "results": {
