@@ -166,8 +166,8 @@ def reproduce(
     """Repeat the published comparison of MAML and fine-tuning on HalfCheetah.
 
     It prints the relative errors of the actions beside the published ones. Each method and seed becomes a
-    line of reproduction.jsonl in the folder `results`, unless --output names another. It takes about half
-    an hour for each seed.
+    line of reproduction.jsonl in the folder `results`, unless --output names another. It takes about 25
+    minutes of one core for each seed.
 
     Example: `imujoco benchmark reproduce --jobs 2`
     """

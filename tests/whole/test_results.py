@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import asdict
 from hashlib import sha256
+from itertools import product
 from pathlib import Path
 
-from imujoco_minari.benchmark import few_shot, offline
+from imujoco_minari.benchmark import few_shot, offline, reproduction
 from imujoco_minari.benchmark.lines import policies_sha256, read_lines, references
 from imujoco_minari.benchmark.methods import METHODS, settings_of
 from imujoco_minari.policies import expert_actor
@@ -18,6 +20,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 RESULTS = DOCS / "results"
 LINES = read_lines(RESULTS / few_shot.FILE)
 OFFLINE = read_lines(RESULTS / offline.FILE)
+REPRODUCED = read_lines(RESULTS / reproduction.FILE)
 
 
 def content(dataset_id: str) -> str:
@@ -88,6 +91,17 @@ def test_the_offline_lines_are_whole_and_of_the_shipped_experts() -> None:
     cells = {(line["method"], line["robot"], line["tier"], line["seed"]) for line in OFFLINE}
     grid = offline.OfflineGrid(tiers=sorted(tiers))
     assert len(OFFLINE) == len(cells) == grid.cells()
+
+
+def test_the_published_comparison_is_whole_and_of_the_published_datasets() -> None:
+    cells = [(line["method"], line["seed"]) for line in REPRODUCED]
+    seeds = len(cells) // len(reproduction.METHODS)
+    assert 0 < seeds <= reproduction.SEEDS
+    assert sorted(cells) == sorted(product(reproduction.METHODS, range(seeds)))
+    train, test = map(digest, reproduction.published_split())
+    for line in REPRODUCED:
+        assert line["settings"] == asdict(reproduction.DEFAULT)
+        assert (line["train_sha256"], line["data_sha256"]) == (train, test)
 
 
 def test_the_docs_name_the_variants_of_the_offline_evaluation() -> None:
