@@ -31,6 +31,7 @@ class ScoreFigure:
         ticks: labels on the x axis.
         panels: title of a panel -> method -> its score with its interval at each tick.
         y_label: label of the y axis.
+        reference: height of a thin grey line; None for no line.
     """
 
     name: str
@@ -39,6 +40,8 @@ class ScoreFigure:
     ticks: tuple[str, ...]
     panels: Mapping[str, Mapping[str, Sequence[Interval | None]]]
     y_label: str = "normalised return (interquartile mean)"
+    # The score of the variant's expert.
+    reference: float | None = 1.0
 
 
 def few_shot_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
@@ -127,9 +130,8 @@ def reproduction_figures(lines: Sequence[Line]) -> list[ScoreFigure]:
             ]
     ticks = tuple(dict.fromkeys(str(row.steps) for row in rows))
     title = "The published comparison on HalfCheetah: mean of the seeds and standard deviation"
-    return [
-        ScoreFigure("reproduction", title, "gradient steps", ticks, panels, "relative error of the actions")
-    ]
+    label = "relative error of the actions"
+    return [ScoreFigure("reproduction", title, "gradient steps", ticks, panels, label, None)]
 
 
 def _offline_figure(

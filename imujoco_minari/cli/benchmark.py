@@ -238,7 +238,7 @@ def page(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = Fals
     for figure in figures:
         labels = (figure.title, figure.x_label, figure.y_label)
         stem = target / "results-figures" / figure.name
-        files += plot_scores(figure.panels, figure.ticks, labels, stem)
+        files += plot_scores(figure.panels, figure.ticks, labels, stem, figure.reference)
     findings = folder / "findings.md"
     found = findings.read_text("utf-8") if findings.exists() else ""
     write_text(target / "results.md", results_page(results, scores, found))

@@ -31,7 +31,13 @@ WIDTH, HEIGHT, SIDE = 2.9, 2.9, 1.7
 _COMPARISON = "comparison"
 
 
-def plot_scores(panels: Panels, ticks: Sequence[str], labels: tuple[str, str, str], stem: Path) -> list[Path]:
+def plot_scores(
+    panels: Panels,
+    ticks: Sequence[str],
+    labels: tuple[str, str, str],
+    stem: Path,
+    reference: float | None = 1.0,
+) -> list[Path]:
     """Draw the scores of each method at the ticks, in a panel for each title; write PNG and SVG.
 
     They are curves with bands if the x axis has a label, or else bars with whiskers.
@@ -41,6 +47,7 @@ def plot_scores(panels: Panels, ticks: Sequence[str], labels: tuple[str, str, st
         ticks: labels of the places on the x axis.
         labels: title of the figure, label of the x axis and of the y axis.
         stem: the files' path without ending.
+        reference: height of a thin grey line; None for no line.
 
     Returns:
         The files.
@@ -60,7 +67,8 @@ def plot_scores(panels: Panels, ticks: Sequence[str], labels: tuple[str, str, st
             for method, intervals in scores.items():
                 found = [(x, *interval) for x, interval in enumerate(intervals) if interval is not None]
                 draw(axes, method, methods, np.array(found, float).reshape(-1, 4).T)
-            axes.axhline(1.0, color=BASE_FILL, linewidth=0.8, zorder=0)
+            if reference is not None:
+                axes.axhline(reference, color=BASE_FILL, linewidth=0.8, zorder=0)
             axes.set_title(name, loc="left")
             axes.set_xticks(range(len(ticks)), names)
             axes.set_xlabel(x_label)
