@@ -189,9 +189,9 @@ def reproduce(
 def table(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = False) -> None:
     """Compute every score from result lines, and print them.
 
-    The errors of the published comparison follow them, if it is in the lines. --output writes the scores as
-    CSV too. It states which lines do not match the published datasets, policies and
-    settings, because one of them has changed since.
+    The errors of the published comparison follow, if FOLDER has its lines. --output writes the scores as CSV
+    too. The command lists the lines that do not match the published datasets, policies and settings, because
+    one of them has changed since.
 
     Example: `imujoco benchmark table results --output scores.csv`
     """
