@@ -45,9 +45,9 @@ class ScoreFigure:
 
 
 def few_shot_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
-    """Return the figures of few-shot scores: return against data and against steps, by kind of split."""
+    """Return the figures of few-shot scores: return by tier, against data and against steps."""
     shown = shown_scores(scores)
-    figures = []
+    figures = _tier_figures(shown)
     for kind in dict.fromkeys(_kind(score) for score in shown):
         chosen = [score for score in shown if _kind(score) == kind]
         budgets = budgets_of(chosen)
@@ -67,23 +67,26 @@ def few_shot_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
             descent[title] = {m: [own.get((m, TYPICAL_BUDGET, s)) for s in steps] for m in methods} | {
                 name: [interval] * len(steps) for name, interval in grey.items()
             }
-        most, tier = max(steps), chosen[0].tier
-        figures += [
-            ScoreFigure(
-                f"few-shot-{kind}-data",
-                f"Return against data, after {most:,} steps, tier {tier}",
-                "windows x steps demonstrated",
-                tuple(budgets),
-                data,
-            ),
+        tier = chosen[0].tier
+        if len(budgets) > 1:
+            figures.append(
+                ScoreFigure(
+                    f"few-shot-{kind}-data",
+                    f"Return against data, after {max(steps):,} steps, tier {tier}",
+                    "windows x steps demonstrated",
+                    tuple(budgets),
+                    data,
+                )
+            )
+        figures.append(
             ScoreFigure(
                 f"few-shot-{kind}-steps",
                 f"Return against steps, with {TYPICAL_BUDGET} demonstrated, tier {tier}",
                 "gradient steps",
                 tuple(map(str, steps)),
                 descent,
-            ),
-        ]
+            )
+        )
     return figures
 
 
@@ -132,6 +135,21 @@ def reproduction_figures(lines: Sequence[Line]) -> list[ScoreFigure]:
     title = "The published comparison on HalfCheetah: mean of the seeds and standard deviation"
     label = "relative error of the actions"
     return [ScoreFigure("reproduction", title, "gradient steps", ticks, panels, label, None)]
+
+
+def _tier_figures(shown: Sequence[MethodScore]) -> list[ScoreFigure]:
+    """Return the figure of return by tier, of the splits that have scores of several tiers."""
+    chosen = [s for s in shown if s.budget == TYPICAL_BUDGET and s.method not in COMPARISONS]
+    tiers = tuple(dict.fromkeys(score.tier for score in chosen))
+    last = {score.method: score.steps for score in sorted(chosen, key=lambda score: score.steps)}
+    own = {(s.group, s.method, s.tier): s.interval for s in chosen if s.steps == last[s.method]}
+    panels = {
+        group: {method: [own.get((group, method, tier)) for tier in tiers] for method in in_order(set(last))}
+        for group in dict.fromkeys(score.group for score in chosen)
+        if len({score.tier for score in chosen if score.group == group}) > 1
+    }
+    title = f"Return by tier, with {TYPICAL_BUDGET} demonstrated"
+    return [ScoreFigure("few-shot-tiers", title, "", tiers, panels)] if panels else []
 
 
 def _offline_figure(

@@ -105,6 +105,22 @@ def test_offline_scores_separate_the_base_from_the_variants() -> None:
     assert scores == pytest.approx(expected)
 
 
+def test_figures_of_few_shot_scores_need_more_than_one_budget_or_tier() -> None:
+    one_tier = few_shot_figures(few_shot_scores(FEW))
+    assert [figure.name for figure in one_tier] == [
+        "few-shot-extremes-v1-expert-data",
+        "few-shot-extremes-v1-expert-steps",
+    ]
+    sampled = [line | {"tier": "expert-stochastic"} for line in FEW if line["budget"] == "5x100"]
+    by_tier, *others = few_shot_figures(few_shot_scores(FEW + sampled))
+    assert (by_tier.name, by_tier.ticks) == ("few-shot-tiers", ("expert", "expert-stochastic"))
+    intervals = by_tier.panels["hopper-extremes-v1"]["scratch"]
+    assert intervals[0] == intervals[1]
+    names = [figure.name for figure in others]
+    assert "few-shot-extremes-v1-expert-stochastic-steps" in names
+    assert "few-shot-extremes-v1-expert-stochastic-data" not in names
+
+
 def test_the_page_has_every_method_and_its_files_are_reproducible(tmp_path: Path) -> None:
     from imujoco_minari.pictures.plotting.scores import plot_scores
 
