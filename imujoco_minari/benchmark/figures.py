@@ -45,7 +45,7 @@ class ScoreFigure:
 
 
 def few_shot_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
-    """Return the figures of few-shot scores: return by tier, against data and against steps."""
+    """Return the figures of few-shot scores: return by tier, against data, and against steps."""
     shown = shown_scores(scores)
     figures = _tier_figures(shown)
     for kind in dict.fromkeys(_kind(score) for score in shown):
@@ -138,7 +138,7 @@ def reproduction_figures(lines: Sequence[Line]) -> list[ScoreFigure]:
 
 
 def _tier_figures(shown: Sequence[MethodScore]) -> list[ScoreFigure]:
-    """Return the figure of return by tier, of the splits that have scores of several tiers."""
+    """Return the figure that compares tiers, if a split has scores of several tiers."""
     chosen = [s for s in shown if s.budget == TYPICAL_BUDGET and s.method not in COMPARISONS]
     tiers = tuple(dict.fromkeys(score.tier for score in chosen))
     last = {score.method: score.steps for score in sorted(chosen, key=lambda score: score.steps)}
