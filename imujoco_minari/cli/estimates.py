@@ -23,7 +23,7 @@ SECONDS_PER_STEP, SECONDS_PER_EPISODE = 1.1e-4, 5e-3
 # The time limit, for policies with no record of how long their episodes are.
 STEPS_PER_EPISODE = 1000
 # The training run of medium-replay: means over the three bases.
-STEPS_TO_MEDIUM, SECONDS_PER_TRAINING_STEP = 160_000, 3.5e-3
+STEPS_TO_MEDIUM, SECONDS_PER_TRAINING_STEP = 100_000, 2.6e-3
 # Training: means over the shipped experts. A base comes with its whole agent and its ladder.
 SECONDS_PER_EXPERT, BYTES_PER_EXPERT = 245, 160_000
 SECONDS_PER_BASE, BYTES_PER_BASE = 2200, 4_000_000
