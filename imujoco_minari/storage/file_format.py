@@ -23,6 +23,8 @@ from imujoco_minari.variants.context import percents
 
 MAIN_FILE = "main_data.hdf5"
 ARRAYS = ("observations", "actions", "rewards", "terminations", "truncations")
+# An empty group of each episode. Our episodes have no infos.
+INFOS = "infos"
 DIGEST = "sha256"
 FILE_DIGEST, METADATA_DIGEST = "file_sha256", "metadata_sha256"
 # Metadata key of a linked collection, which has no arrays of its own: for each source, in order, the number

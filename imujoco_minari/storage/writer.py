@@ -109,6 +109,8 @@ def write_episode(
     something as small as an attribute.
     """
     group = h5g.create(file.id, name.encode())
+    # Minari prints the keys of an episode's infos, and fails if there is no group.
+    h5g.create(group, file_format.INFOS.encode())
     digests = {}
     for key, array in arrays.items():
         array = np.ascontiguousarray(array)

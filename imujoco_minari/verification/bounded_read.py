@@ -157,7 +157,7 @@ def _follow(file: h5py.File, data: Path, name: str) -> None:
 
 
 def _arrays(group: Any, where: str) -> dict[str, ReadableArray]:
-    """Return the arrays of an episode, which holds nothing else."""
+    """Return the arrays of an episode, which holds nothing else but an empty group of infos."""
     try:
         containment.check_links(group, "")
     except DatasetError as error:
@@ -168,6 +168,8 @@ def _arrays(group: Any, where: str) -> dict[str, ReadableArray]:
         place = f"{where}/{key}"
         try:
             array = h5py.h5o.open(group, raw)
+            if key == file_format.INFOS and _is_empty(array):
+                continue
             if not isinstance(array, h5py.h5d.DatasetID):
                 raise UnreadableError(place, "is no array")
             containment.check_array(array, place)
@@ -176,6 +178,10 @@ def _arrays(group: Any, where: str) -> dict[str, ReadableArray]:
         _check_size(array, place)
         found[key] = ReadableArray(array, attributes(array, place))
     return found
+
+
+def _is_empty(item: Any) -> bool:
+    return isinstance(item, h5py.h5g.GroupID) and not len(item) and not h5py.h5a.get_num_attrs(item)
 
 
 def _check_size(array: Any, where: str) -> None:

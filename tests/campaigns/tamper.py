@@ -199,7 +199,7 @@ def change_arrays(dataset: Dataset, rng: random.Random) -> str:
     elif kind == "extra":
         first["infos/x" if rng.random() < 0.5 else "x"] = [1.0]
     elif kind == "group":
-        first.create_group("infos")
+        first["infos"].create_group("x")
     else:
         for name in file_format.ARRAYS:
             values = first[name][:-2]

@@ -69,6 +69,8 @@ def test_stock_minari_sees_all_of_it(dataset: minari.MinariDataset) -> None:
     assert episodes[0].observations.dtype == np.float64
     assert episodes[0].actions.dtype == np.float32
     assert len(dataset.sample_episodes(3)) == 3
+    # Minari prints the keys of the infos.
+    assert "infos=dict with the following keys: []" in repr(episodes[0])
     train, test = minari.split_dataset(dataset, [4, 2], seed=0)
     assert (len(train), len(test)) == (4, 2)
     assert dataset.filter_episodes(lambda episode: episode.id < 2).total_episodes == 2

@@ -278,7 +278,11 @@ TAMPERED = {
         ),
         "link to elsewhere",
     ),
-    "group within itself": (lambda file: file[E0].__setitem__("infos", file[E0]), "infos: is no array"),
+    "group within itself": (lambda file: file[E0].__setitem__("self", file[E0]), "self: is no array"),
+    "infos that are not empty": (
+        lambda file: file[f"{E0}/infos"].__setitem__("x", [1.0]),
+        "infos: is no array",
+    ),
     "a web of groups": (
         lambda file: [file[f"{E0}"].create_group(f"g{i}") for i in range(200)],
         "more than 100",
