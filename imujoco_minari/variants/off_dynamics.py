@@ -9,11 +9,11 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
 from typing import Any
 
 from imujoco_minari.errors import VariantError, clipped, suggestion
 from imujoco_minari.variants.ids import Variant
+from imujoco_minari.variants.robots import pages_folder
 
 
 @dataclass(frozen=True)
@@ -89,8 +89,5 @@ def off_dynamics_names(robot: str | None = None) -> tuple[str, ...]:
 @cache
 def _pages() -> Mapping[str, Mapping[str, Any]]:
     """Return robot -> its tasks (name -> changes), and notes and reasons by the beginnings of names."""
-    folder = resources.files("imujoco_minari.env_specs") / "odrl"
-    files = sorted(
-        (page for page in folder.iterdir() if page.name.endswith(".toml")), key=lambda page: page.name
-    )
-    return {page.name.removesuffix(".toml"): tomllib.loads(page.read_text("utf-8")) for page in files}
+    files = sorted((pages_folder() / "odrl").glob("*.toml"))
+    return {page.stem: tomllib.loads(page.read_text("utf-8")) for page in files}

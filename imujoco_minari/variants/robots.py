@@ -154,11 +154,20 @@ def _parse(robot: str, page: Mapping[str, str], name: str) -> RobotSpecification
     return parse_specification(text, name)
 
 
+def pages_folder() -> Path:
+    """Return the folder of the shipped pages."""
+    try:
+        return Path(import_module("imujoco_minari.env_specs").__path__[0])
+    except ModuleNotFoundError:
+        # Python was started in a clone, whose folder `imujoco_minari` hides the installed package.
+        return Path(__file__).parents[2] / "env_specs"
+
+
 def _shipped_pages() -> dict[str, RobotSpecification]:
     """Return the robots of the package, the listed ones first, the smallest first among both."""
-    folder = Path(import_module("imujoco_minari.env_specs").__path__[0])
     pages = {
-        page.stem: parse_specification(page.read_text("utf-8"), page.name) for page in folder.glob("*.toml")
+        page.stem: parse_specification(page.read_text("utf-8"), page.name)
+        for page in pages_folder().glob("*.toml")
     }
     order = sorted(pages, key=lambda robot: (not pages[robot].listed, pages[robot].observation_size, robot))
     return {robot: pages[robot] for robot in order}
