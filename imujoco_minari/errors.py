@@ -65,6 +65,10 @@ class DatasetIdError(NotFoundError, DatasetError):
     """A text that is not a dataset id."""
 
 
+class FormatError(NotFoundError, DatasetError):
+    """A format of exports that does not exist."""
+
+
 class DatasetExistsError(ImujocoError, FileExistsError):
     """A dataset id that is already taken."""
 
@@ -87,6 +91,10 @@ class TransferError(ImujocoError, RuntimeError):
 
 class BenchmarkError(ImujocoError, ValueError):
     """A benchmark's method, budget or results that cannot be used."""
+
+
+class BenchmarkChoiceError(NotFoundError, BenchmarkError):
+    """A method, budget, robot, tier or held-out variant that a benchmark does not have."""
 
 
 class RenderingError(ImujocoError, RuntimeError):

@@ -55,7 +55,8 @@ def _data(dataset_ids: Sequence[str], digest: str) -> Iterator[str]:
         yield "not compared, because their datasets are not in the Minari root"
     elif found != digest:
         first, last = dataset_ids[0], dataset_ids[-1]
-        yield f"{first} has changed" if first == last else f"a dataset from {first} to {last} has changed"
+        named = first if first == last else f"a dataset from {first} to {last}"
+        yield f"{named} is not the data of these lines: it has changed, or another processor made it"
 
 
 @cache

@@ -22,7 +22,7 @@ from imujoco_minari.benchmark.evaluating import episode_returns, relative_error
 from imujoco_minari.benchmark.lines import Line, data_sha256, policies_sha256, references, run_lines, versions
 from imujoco_minari.benchmark.methods import COMPARISONS, Method, NewMethod, settings_of
 from imujoco_minari.benchmark.protocol import Budget, draw_demonstrations
-from imujoco_minari.errors import BenchmarkError, JobError
+from imujoco_minari.errors import BenchmarkChoiceError, BenchmarkError, JobError
 from imujoco_minari.loading import arrays
 from imujoco_minari.parallel import run_jobs
 from imujoco_minari.variants import EXPERT, HeldOut, Variant
@@ -63,7 +63,7 @@ class FewShotGrid:
         held_out = {variant for split in self.splits for variant in split.test}
         unknown = sorted(set(self.variants or ()) - held_out)
         if unknown:
-            raise BenchmarkError(f"{unknown[0]} is not held out; valid: {', '.join(sorted(held_out))}")
+            raise BenchmarkChoiceError(f"{unknown[0]} is not held out; valid: {', '.join(sorted(held_out))}")
 
     def held_out(self, split: HeldOut) -> list[str]:
         """Return the held-out variants of a split that are in the grid."""

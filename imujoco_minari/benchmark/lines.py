@@ -51,8 +51,8 @@ def read_lines(path: Path) -> list[Line]:
     return lines
 
 
-def append_line(path: Path, line: Line) -> None:
-    """Add a line to a results file. It removes an incomplete last line.
+def append_lines(path: Path, lines: Sequence[Line]) -> None:
+    """Add lines to a results file. It removes an incomplete last line.
 
     Raises:
         StorageError: if the file cannot be written.
@@ -64,7 +64,8 @@ def append_line(path: Path, line: Line) -> None:
             file.seek(max(0, end - 2**20))
             tail = file.read()
             file.truncate(end - (len(tail) - tail.rfind(b"\n") - 1))
-            file.write(json.dumps(line, separators=(",", ":")).encode() + b"\n")
+            for line in lines:
+                file.write(json.dumps(line, separators=(",", ":")).encode() + b"\n")
     except OSError as error:
         raise StorageError(f"cannot write {path}: {error.strerror or error}") from None
 
@@ -95,8 +96,11 @@ def run_lines(
     done = [known[identity(line)] for line in wanted if identity(line) in known]
     missing = [line for line in wanted if identity(line) not in known]
     on_cells(len(done))
+    # A file that cannot be written is found before the first cell is computed.
+    if missing:
+        append_lines(path, [])
     for line in compute(missing):
-        append_line(path, line)
+        append_lines(path, [line])
         done.append(line)
         on_cells(1)
     return done

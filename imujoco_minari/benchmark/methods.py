@@ -14,7 +14,7 @@ from typing import Any, Protocol
 from imujoco_minari.benchmark.cloning import BaseExpert, MultiVariant, Scratch
 from imujoco_minari.benchmark.maml import Maml
 from imujoco_minari.benchmark.set_encoder import SetEncoder
-from imujoco_minari.errors import BenchmarkError, clipped, suggestion
+from imujoco_minari.errors import BenchmarkChoiceError, BenchmarkError, clipped, suggestion
 from imujoco_minari.loading import Arrays
 from imujoco_minari.policies import Actor, RandomPolicy, expert_actor, random_policy
 from imujoco_minari.variants import Variant
@@ -79,13 +79,15 @@ METHODS: Mapping[str, NewMethod] = {
 }
 # The policies of these methods do not depend on the demonstrations. They run with one budget.
 COMPARISONS = ("told", "random", "expert")
+# These need no training.
+BOUNDS = ("random", "expert")
 
 
 def find_method(name: str) -> NewMethod:
     """Return the method of a name, or the class that ``module:Class`` names.
 
     Raises:
-        BenchmarkError: if neither exists.
+        BenchmarkChoiceError: if neither exists.
     """
     module, _, own = name.partition(":")
     if own:
@@ -93,9 +95,9 @@ def find_method(name: str) -> NewMethod:
             found: NewMethod = getattr(import_module(module), own)
             return found
         except (ImportError, AttributeError, ValueError) as error:
-            raise BenchmarkError(f"no method {clipped(name)!r}: {error}") from None
+            raise BenchmarkChoiceError(f"no method {clipped(name)!r}: {error}") from None
     if name not in METHODS:
-        raise BenchmarkError(
+        raise BenchmarkChoiceError(
             f"no method {clipped(name)!r}{suggestion(name[:80], METHODS)}; valid: {', '.join(METHODS)}, or "
             "<module>:<Class> for your own"
         )
@@ -110,7 +112,8 @@ def with_settings(new: NewMethod, settings: Sequence[str]) -> NewMethod:
         settings: texts such as ``rate=0.001``.
 
     Raises:
-        BenchmarkError: if the method has no such setting, or the value is not a number.
+        BenchmarkChoiceError: if the method has no such setting.
+        BenchmarkError: if the value is not a number.
     """
     changed = {}
     for text in settings:
@@ -118,7 +121,7 @@ def with_settings(new: NewMethod, settings: Sequence[str]) -> NewMethod:
         present = settings_of(new(0))
         valid = [name for name, number in present.items() if type(number) in (int, float)]
         if name not in valid:
-            raise BenchmarkError(f"no setting {clipped(text)!r}; valid: {', '.join(valid) or 'none'}")
+            raise BenchmarkChoiceError(f"no setting {clipped(text)!r}; valid: {', '.join(valid) or 'none'}")
         try:
             changed[name] = type(present[name])(value)
         except ValueError:

@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from imujoco_minari.errors import missing_dependency
 from imujoco_minari.loading.statistics import Statistics
 from imujoco_minari.policies import Actor, Array
 from imujoco_minari.training.agents import import_jax
@@ -210,10 +211,17 @@ def minimise(loss: Callable[[Any], Any], network: Any, moments: Any, rate: Any) 
 
 @cache
 def adam() -> Any:
-    """Return Adam's rule without a learning rate."""
+    """Return Adam's rule without a learning rate.
+
+    Raises:
+        DependencyError: if JAX or Optax is not installed.
+    """
     # JAX needs its settings before optax imports it.
     import_jax()
-    import optax
+    try:
+        import optax
+    except ImportError:
+        raise missing_dependency("optax", "train", "the benchmark") from None
 
     return optax.scale_by_adam()
 

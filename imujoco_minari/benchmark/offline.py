@@ -30,7 +30,7 @@ from imujoco_minari.benchmark.methods import settings_of
 from imujoco_minari.benchmark.offline_cloning import Cloning
 from imujoco_minari.benchmark.protocol import EVALUATION_EPISODES
 from imujoco_minari.benchmark.td3_bc import Td3Bc
-from imujoco_minari.errors import BenchmarkError
+from imujoco_minari.errors import BenchmarkChoiceError, BenchmarkError
 from imujoco_minari.loading import Arrays, arrays
 from imujoco_minari.policies import Actor
 from imujoco_minari.publishing.recipes import Recipe
@@ -115,7 +115,7 @@ class OfflineGrid:
         ):
             unknown = sorted(set(given) - set(valid))
             if unknown:
-                raise BenchmarkError(f"no {word} {unknown[0]!r} here; valid: {', '.join(valid)}")
+                raise BenchmarkChoiceError(f"no {word} {unknown[0]!r} here; valid: {', '.join(valid)}")
 
     def cells(self) -> int:
         """Return the number of cells."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from imujoco_minari.errors import BenchmarkError, clipped
+from imujoco_minari.errors import BenchmarkChoiceError, BenchmarkError, clipped
 from imujoco_minari.loading import STEP_ARRAYS, Arrays
 from imujoco_minari.variants import HeldOut
 
@@ -45,12 +45,12 @@ class Budget:
         """Return the budget that a text names, as ``5x100`` or ``1xall``.
 
         Raises:
-            BenchmarkError: if it names none.
+            BenchmarkChoiceError: if it names none.
         """
         count, _, length = text.partition("x")
         if count.isdecimal() and int(count) and (length == "all" or (length.isdecimal() and int(length))):
             return cls(int(count), None if length == "all" else int(length))
-        raise BenchmarkError(
+        raise BenchmarkChoiceError(
             f"no budget {clipped(text)!r}; valid: <windows>x<steps>, as in 5x100, or 1xall for an episode"
         )
 

@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from imujoco_minari.cli.app import advancing, app
-from imujoco_minari.cli.estimates import time_text
+from imujoco_minari.cli.estimates import plan, publishing_line, time_text
 from imujoco_minari.cli.options import AsJson, DryRun, Jobs, Output, Tiers
 from imujoco_minari.cli.printing import counted, out, print_json, print_table, progress, say
-from imujoco_minari.errors import BenchmarkError
-from imujoco_minari.storage import minari_root
+from imujoco_minari.errors import BenchmarkChoiceError, BenchmarkError, suggestion
 from imujoco_minari.variants import EXPERT, ROBOTS, HeldOut, held_out, parse_dataset_id
 
 if TYPE_CHECKING:
@@ -77,15 +76,16 @@ def few_shot(
     and is evaluated on it. Each cell becomes a line of few-shot.jsonl in the folder `results`, unless
     --output names another. A killed run continues where it stopped, and a finished cell is never computed
     again while its data, policies, settings and versions are the same. Datasets that are missing are
-    published first. Without options, it runs the whole protocol few-shot-v1, which takes hours. --method
-    takes your own class as <module>:<Class>. To choose settings, use --setting with --validation, which
-    evaluates on training variants alone.
+    published first. Without options, it runs all cells of few-shot-v1 with the tier expert, which takes
+    hours. --held-out without --split takes the first split that holds the variant out, the extremes first.
+    --method takes your own class as <module>:<Class>. To choose settings, use --setting with --validation,
+    which evaluates on training variants alone.
 
     Examples: `imujoco benchmark few-shot --split hopper-random-v1 --jobs 2`,
     `imujoco benchmark few-shot -m scratch --held-out hopper-frictiondec_50_feet --budget 5x100 --seeds 1`
     """
     from imujoco_minari.benchmark.few_shot import FewShotGrid, run_few_shot
-    from imujoco_minari.benchmark.methods import METHODS, find_method, with_settings
+    from imujoco_minari.benchmark.methods import BOUNDS, METHODS, find_method, with_settings
     from imujoco_minari.benchmark.protocol import SEEDS, Budget, validation_split
     from imujoco_minari.benchmark.scores import few_shot_scores
 
@@ -105,8 +105,10 @@ def few_shot(
         range(seeds or SEEDS),
         variants,
     )
-    _say_cost(grid, jobs, dry_run=dry_run, as_json=as_json)
-    _publish(_recipes(grid.dataset_ids()), jobs, quiet=as_json)
+    recipes = _recipes(grid.dataset_ids())
+    _say_cost(grid, recipes, jobs, dry_run=dry_run, as_json=as_json)
+    trains = bool(set(grid.methods) & (METHODS.keys() - BOUNDS))
+    _publish(recipes, jobs, trains=trains, quiet=as_json)
     with progress("computing", grid.cells(), quiet=as_json) as on_cells:
         lines = run_few_shot(grid, output or RESULTS, jobs=jobs, on_cells=on_cells)
     _show(few_shot_scores(lines), as_json)
@@ -149,7 +151,7 @@ def offline(
         range(seeds or SEEDS),
         updates or UPDATES,
     )
-    _say_cost(grid, jobs, dry_run=dry_run, as_json=as_json)
+    _say_cost(grid, grid.recipes(), jobs, dry_run=dry_run, as_json=as_json)
     _publish(grid.recipes(), jobs, quiet=as_json)
     with progress("training", grid.cells(), quiet=as_json) as on_cells:
         lines = run_offline(grid, output or RESULTS, jobs=jobs, on_cells=on_cells)
@@ -255,7 +257,7 @@ def _holding_out(variants: Sequence[str], splits: Sequence[HeldOut]) -> list[Hel
     """Return the splits that hold variants out, with each variant in the first split that does.
 
     Raises:
-        BenchmarkError: if no split holds one of them out.
+        BenchmarkChoiceError: if no split holds one of them out.
     """
     found, left = [], list(dict.fromkeys(variants))
     for split in splits:
@@ -264,21 +266,29 @@ def _holding_out(variants: Sequence[str], splits: Sequence[HeldOut]) -> list[Hel
         if held:
             found.append(replace(split, test=held))
     if left:
-        raise BenchmarkError(f"{left[0]} is held out in none of {', '.join(split.name for split in splits)}")
+        names = ", ".join(split.name for split in splits)
+        near = suggestion(left[0], [variant for split in splits for variant in split.test])
+        raise BenchmarkChoiceError(f"{left[0]} is held out in none of {names}{near}")
     return found
 
 
-def _say_cost(grid: FewShotGrid | OfflineGrid, jobs: int, *, dry_run: bool, as_json: bool) -> None:
-    """Say how many cells a grid has, and how long they take.
+def _say_cost(
+    grid: FewShotGrid | OfflineGrid, recipes: Sequence[Recipe], jobs: int, *, dry_run: bool, as_json: bool
+) -> None:
+    """Say how many cells a grid has, how long they take, and which datasets are to be published first.
 
     Raises:
         typer.Exit: if it is a dry run.
     """
     cells, seconds = grid.cells(), grid.seconds() / jobs
+    planned = [plan(recipe) for recipe in recipes]
+    missing = [each for each in planned if each.action != "leave alone"]
     if dry_run and as_json:
-        print_json({"cells": cells, "seconds": seconds})
+        print_json({"cells": cells, "seconds": seconds, "publish": [each.dataset_id for each in missing]})
     else:
         say(f"{counted(cells, 'cell')}: about {time_text(seconds)} with --jobs {jobs}")
+        if missing:
+            say(f"to publish first: {publishing_line(missing, jobs)}")
     if dry_run:
         raise typer.Exit
 
@@ -296,17 +306,22 @@ def _recipes(dataset_ids: Sequence[str]) -> list[Recipe]:
     return [Recipe(*parse_dataset_id(dataset_id)) for dataset_id in dataset_ids]
 
 
-def _publish(recipes: Sequence[Recipe], jobs: int, *, quiet: bool) -> None:
-    """Publish the datasets that the Minari root lacks."""
+def _publish(recipes: Sequence[Recipe], jobs: int, *, trains: bool = True, quiet: bool) -> None:
+    """Publish the datasets that the Minari root lacks.
+
+    Raises:
+        DependencyError: if networks will be trained, and a package for that is not installed.
+        BenchmarkError: if the root has a dataset of another recipe with the same id, or one cannot be made.
+    """
+    from imujoco_minari.benchmark.networks import adam
     from imujoco_minari.publishing.publisher import publish_all
 
-    missing = [recipe for recipe in recipes if not minari_root.exists(recipe.dataset_id)]
-    if not missing:
-        return
-    say(f"{counted(len(missing), 'dataset')} to publish first")
-    for outcome in advancing(publish_all(missing, jobs=jobs), "publishing", len(missing), quiet=quiet):
+    if trains:
+        adam()
+    outcomes = publish_all(recipes, jobs=jobs)
+    for outcome in advancing(outcomes, "preparing datasets", len(recipes), quiet=quiet):
         if outcome.error:
-            raise BenchmarkError(outcome.error)
+            raise BenchmarkError(f"the benchmark cannot get its data: {outcome.error}")
 
 
 def _show(scores: Sequence[MethodScore], as_json: bool = False) -> None:

@@ -78,6 +78,8 @@ def publish_datasets(
     """
     from imujoco_minari.publishing.recipes import Recipe
 
+    if policy is not None and not tiers:
+        raise typer.BadParameter("--policy needs a --tier, which names the dataset: for example --tier mine")
     chosen = select(variants, Filters(robot, category, everything, with_base))
     recipes = [
         Recipe(variant, tier, episodes, seed, policy, stochastic)

@@ -13,7 +13,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol, cast
 
-from imujoco_minari.errors import DatasetError, clipped, suggestion
+from imujoco_minari.errors import DatasetError, FormatError, clipped, suggestion
 from imujoco_minari.exporting.adapters import to_d3rlpy, to_imitation, to_tensordict, to_tianshou, to_torchrl
 from imujoco_minari.loading import Arrays, Datasets, arrays
 from imujoco_minari.storage.targets import new_target
@@ -79,7 +79,8 @@ def export(
         force: replace ``target`` if it is an export; nothing else is ever replaced.
 
     Raises:
-        DatasetError: when the format is unknown, or :func:`~imujoco_minari.loading.arrays` refuses the data.
+        FormatError: when the format is unknown.
+        DatasetError: when :func:`~imujoco_minari.loading.arrays` refuses the data.
         DatasetExistsError: when ``target`` exists, and ``force`` is false or it is no export.
         DependencyError: when the format needs a package that is not installed.
         StorageError: when ``target`` cannot be written.
@@ -146,7 +147,7 @@ def _writer(format: str) -> Writer:
         raise DatasetError(f"the format {ARCHIVE} is a folder of many datasets: see export_archive()")
     if not isinstance(format, str) or format not in FORMATS:
         shown = clipped(format)
-        raise DatasetError(
+        raise FormatError(
             f"unknown format {shown!r}{suggestion(shown, FORMATS)}; valid: {', '.join(FORMATS)}"
         )
     module: Any = import_module(f"imujoco_minari.exporting.{FORMATS[format][0]}")

@@ -87,6 +87,8 @@ def _publish_missing(collection: NamedCollection, jobs: int, quiet: bool) -> Non
         for variant in collection.variants
         if not minari_root.exists(variant.dataset_id(collection.tier))
     ]
+    if not recipes:
+        return
     failed: Published | None = None
     with _progress(collection.dataset_id, "datasets", len(recipes), quiet) as advance:
         for outcome in publish_all(recipes, jobs=jobs):

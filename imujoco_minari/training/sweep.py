@@ -16,7 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from imujoco_minari.errors import ImujocoError, JobError, TrainingError
+from imujoco_minari.errors import ImujocoError, JobError, StorageError, TrainingError
 from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies import expert_record
 from imujoco_minari.policies.rungs import mean_return
@@ -238,8 +238,11 @@ def _training_groups(variants: Sequence[Variant], plan: Plan) -> Iterator[list[V
 @contextmanager
 def _lock_folder(folder: Path) -> Iterator[None]:
     """Lock a run's state folder; raise a TrainingError if another process has the lock."""
-    folder.mkdir(parents=True, exist_ok=True)
-    handle = os.open(folder / "lock", os.O_CREAT | os.O_RDWR)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        handle = os.open(folder / "lock", os.O_CREAT | os.O_RDWR)
+    except OSError as error:
+        raise StorageError(f"cannot write {folder}: {error.strerror or error}") from None
     try:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,12 +14,12 @@ import pytest
 from imujoco_minari.benchmark.checks import changes
 from imujoco_minari.benchmark.cloning import BaseExpert, MultiVariant, Scratch
 from imujoco_minari.benchmark.few_shot import FILE, FewShotGrid, run_few_shot
-from imujoco_minari.benchmark.lines import append_line, read_lines
+from imujoco_minari.benchmark.lines import Line, append_lines, read_lines, run_lines
 from imujoco_minari.benchmark.maml import Maml
 from imujoco_minari.benchmark.methods import METHODS, NewMethod, find_method
 from imujoco_minari.benchmark.protocol import Budget
 from imujoco_minari.benchmark.set_encoder import SetEncoder
-from imujoco_minari.errors import BenchmarkError
+from imujoco_minari.errors import BenchmarkError, StorageError
 from imujoco_minari.loading import Arrays
 from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.variants import HeldOut
@@ -99,7 +99,9 @@ def test_a_changed_dataset_or_setting_no_longer_matches(tmp_path: Path) -> None:
         "the settings of random have changed (lines: 1)"
     ]
     publish("hopper-frictiondec_50_feet", tier="random", episodes=4, seed=7, force=True)
-    assert changes(lines) == ["imujoco/hopper-frictiondec_50_feet-random-v0 has changed (lines: 2)"]
+    (change,) = changes(lines)
+    assert change.startswith("imujoco/hopper-frictiondec_50_feet-random-v0 is not the data of these lines: ")
+    assert change.endswith(" (lines: 2)")
     advanced: list[int] = []
     run_few_shot(tiny_grid("random", "expert"), tmp_path, on_cells=advanced.append)
     assert advanced == [0, 1, 1]
@@ -151,10 +153,23 @@ def test_a_variant_that_is_not_held_out_is_refused() -> None:
 
 def test_a_damaged_line_is_named(tmp_path: Path) -> None:
     path = tmp_path / FILE
-    append_line(path, {"results": {}})
+    append_lines(path, [{"results": {}}])
     path.write_text(path.read_text("utf-8") + json.dumps([1]) + "\n", "utf-8")
     with pytest.raises(BenchmarkError, match="line 2: not a result"):
         read_lines(path)
+
+
+def test_a_results_file_that_cannot_be_written_is_found_before_the_first_cell(tmp_path: Path) -> None:
+    (tmp_path / "results").write_text("no folder", "utf-8")
+    computed: list[Line] = []
+
+    def compute(lines: Sequence[Line]) -> Iterable[Line]:
+        computed.extend(lines)
+        return []
+
+    with pytest.raises(StorageError, match="cannot write"):
+        run_lines(tmp_path / "results" / FILE, compute, [{"method": "m"}], lambda cells: None)
+    assert not computed
 
 
 class Faster:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import pytest
 from actor_datasets import publish_actors
 
 from imujoco_minari.benchmark import reproduction
+from imujoco_minari.benchmark.networks import adam
 from imujoco_minari.cli.app import run
 from imujoco_minari.cli.benchmark import _holding_out
 from imujoco_minari.publishing.publisher import publish
@@ -18,8 +20,10 @@ CELL = ["-m", "random", "--held-out", "hopper-frictiondec_50_feet", "--seeds", "
 
 
 def test_a_cell_becomes_a_line_a_table_and_a_page(
-    capsys: pytest.CaptureFixture[str], root: Path, tmp_path: Path
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, root: Path, tmp_path: Path
 ) -> None:
+    # The dataset has eight episodes by random weights, which the command refuses: see below.
+    monkeypatch.setattr("imujoco_minari.cli.benchmark._publish", lambda *_, **__: None)
     publish_actors(["imujoco/hopper-frictiondec_50_feet-v0"], root)
     results, page = str(tmp_path / "results"), str(tmp_path / "page")
     assert run(["benchmark", "few-shot", *CELL, "--output", results, "--json"]) == 0
@@ -35,7 +39,33 @@ def test_a_cell_becomes_a_line_a_table_and_a_page(
     publish("hopper-frictiondec_50_feet", tier="expert", episodes=2, force=True)
     capsys.readouterr()
     assert run(["benchmark", "table", results]) == 0
-    assert "imujoco/hopper-frictiondec_50_feet-v0 has changed (lines: 1)" in capsys.readouterr().err
+    message = capsys.readouterr().err
+    assert "imujoco/hopper-frictiondec_50_feet-v0 is not the data of these lines" in message
+    assert "(lines: 1)" in message
+
+
+def test_a_dataset_of_another_recipe_is_refused(
+    capsys: pytest.CaptureFixture[str], root: Path, tmp_path: Path
+) -> None:
+    publish_actors(["imujoco/hopper-frictiondec_50_feet-v0"], root)
+    assert run(["benchmark", "few-shot", *CELL, "--output", str(tmp_path / "results")]) == 1
+    message = capsys.readouterr().err
+    assert "it has 8 episodes, policy " in message
+    assert "you asked for 100 episodes, policy " in message
+    assert not (tmp_path / "results").exists()
+
+
+@pytest.mark.parametrize("command", [["few-shot", "-m", "scratch"], ["offline"], ["reproduce"]])
+def test_a_missing_extra_is_named_before_anything_is_made(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, root: Path, command: list[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "optax", None)
+    adam.cache_clear()
+    assert run(["benchmark", *command]) == 1
+    assert 'needs optax, which is not installed: run `pip install "imujoco-minari[train]"`' in (
+        capsys.readouterr().err
+    )
+    assert not list(root.rglob("*.hdf5"))
 
 
 def test_the_table_shows_the_published_comparison(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -63,6 +93,12 @@ def test_a_dry_run_computes_nothing(capsys: pytest.CaptureFixture[str], tmp_path
     assert run(["benchmark", "offline", "--dry-run", "--jobs", "2", "--json"]) == 0
     output = capsys.readouterr()
     assert (json.loads(output.out)["cells"], output.err) == (108, "")
+    assert json.loads(output.out)["publish"][:2] == [
+        "imujoco/hopper-base-medium-v0",
+        "imujoco/hopper-base-medium-replay-v0",
+    ]
+    assert run(["benchmark", "few-shot", *CELL, "--dry-run"]) == 0
+    assert "to publish first: 1 dataset: about" in capsys.readouterr().err
     assert not (tmp_path / "results").exists()
 
 
@@ -79,25 +115,30 @@ def test_each_held_out_variant_is_in_the_first_split_that_has_it(capsys: pytest.
     few_shot = ["benchmark", "few-shot", "-m", "random", "--seeds", "1", "--dry-run"]
     assert run([*few_shot, *options]) == 0
     assert capsys.readouterr().err.startswith("3 cells")
-    assert run([*few_shot, *options, "--held-out", "hopper-base"]) == 1
+    assert run([*few_shot, *options, "--held-out", "hopper-base"]) == 2
     assert "hopper-base is held out in none of hopper-extremes-v1, " in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("arguments", "code", "message"),
     [
-        (["few-shot", "-m", "best"], "no method 'best'"),
-        (["few-shot", "--held-out", "hopper-base"], "hopper-base is held out in none of"),
-        (["few-shot", "-m", "scratch", "--setting", "speed=2"], "no setting 'speed=2'; valid: rate"),
-        (["few-shot", "-m", "scratch", "--setting", "rate=fast"], "'rate=fast' is not a number"),
-        (["offline", "--base", "ant"], "no robot 'ant' here; valid: hopper"),
-        (["table", "nowhere"], "nowhere has no results"),
+        (["few-shot", "-m", "best"], 2, "no method 'best'"),
+        (["few-shot", "--budget", "5x"], 2, "no budget '5x'; valid: <windows>x<steps>"),
+        (
+            ["few-shot", "--held-out", "hopper-frictiondec_50_fet"],
+            2,
+            "walker2d-random-v1 (did you mean 'hopper-frictiondec_50_feet'?)",
+        ),
+        (["few-shot", "-m", "scratch", "--setting", "speed=2"], 2, "no setting 'speed=2'; valid: rate"),
+        (["few-shot", "-m", "scratch", "--setting", "rate=fast"], 1, "'rate=fast' is not a number"),
+        (["offline", "--base", "ant"], 2, "no robot 'ant' here; valid: hopper"),
+        (["table", "nowhere"], 1, "nowhere has no results"),
     ],
 )
 def test_a_mistake_gets_one_line(
-    capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
+    capsys: pytest.CaptureFixture[str], arguments: list[str], code: int, message: str
 ) -> None:
-    assert run(["benchmark", *arguments]) == 1
+    assert run(["benchmark", *arguments]) == code
     assert message in capsys.readouterr().err
 
 

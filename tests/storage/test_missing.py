@@ -38,7 +38,9 @@ def test_the_command_that_makes_a_dataset(dataset_id: str, command: str, root: P
     assert making(dataset_id) == command
     message = str(not_in_root(dataset_id))
     assert message.startswith(f"{dataset_id} is not in the Minari root, at {root}/{dataset_id}; ")
-    assert message.endswith(f"make it with `{command}`" if command else "see `minari list local`")
+    advice = f"make it with `{command}`" if command else "see `minari list local`"
+    assert message.partition("; ")[2].startswith(advice)
+    assert ("It names no variant: " in message) == (not command and dataset_id.startswith("imujoco/"))
 
 
 @pytest.mark.parametrize(
@@ -47,3 +49,9 @@ def test_the_command_that_makes_a_dataset(dataset_id: str, command: str, root: P
 def test_everything_that_reads_a_dataset_names_it(call: Callable[[str], object]) -> None:
     with pytest.raises(DatasetNotFoundError, match="make it with `imujoco publish hopper-base`"):
         call("imujoco/hopper-base-v0")
+
+
+def test_a_misspelt_variant_is_named() -> None:
+    message = str(not_in_root("imujoco/hopper-massdec_25_legeom-random-v0"))
+    assert "It names no variant: " in message
+    assert "(did you mean 'leggeom'?)" in message
