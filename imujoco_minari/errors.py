@@ -94,7 +94,7 @@ class BenchmarkError(ImujocoError, ValueError):
 
 
 class BenchmarkChoiceError(NotFoundError, BenchmarkError):
-    """A method, budget, robot, tier or held-out variant that a benchmark does not have."""
+    """A method, setting, budget, robot, tier or held-out variant that a benchmark does not have."""
 
 
 class RenderingError(ImujocoError, RuntimeError):
