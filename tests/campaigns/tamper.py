@@ -134,8 +134,19 @@ def change_metadata(dataset: Dataset, rng: random.Random) -> str:
     before = dataset.metadata
     dataset.metadata = changed(before, rng, keys)
     every = before.keys() | dataset.metadata.keys()
-    differing = [key for key in every if before.get(key) != dataset.metadata.get(key)]
+    differing = [key for key in every if meaning(before.get(key)) != meaning(dataset.metadata.get(key))]
     return differing[0] if differing else ""
+
+
+def meaning(value: Any) -> Any:
+    """Return a value of the metadata. In a JSON text, a missing entry means the same as null."""
+    try:
+        inner = json.loads(value)
+    except (TypeError, ValueError):
+        return value
+    if not isinstance(inner, dict):
+        return value
+    return {key: entry for key, entry in inner.items() if entry is not None}
 
 
 def change_attribute(dataset: Dataset, rng: random.Random) -> str:
