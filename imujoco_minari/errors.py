@@ -66,7 +66,7 @@ class DatasetIdError(NotFoundError, DatasetError):
 
 
 class FormatError(NotFoundError, DatasetError):
-    """A format of exports that does not exist."""
+    """An export format that does not exist."""
 
 
 class DatasetExistsError(ImujocoError, FileExistsError):

@@ -79,7 +79,7 @@ METHODS: Mapping[str, NewMethod] = {
 }
 # The policies of these methods do not depend on the demonstrations. They run with one budget.
 COMPARISONS = ("told", "random", "expert")
-# These need no training.
+# The bounds of the scores: these two train nothing.
 BOUNDS = ("random", "expert")
 
 

@@ -281,8 +281,7 @@ def _say_cost(
         typer.Exit: if it is a dry run.
     """
     cells, seconds = grid.cells(), grid.seconds() / jobs
-    planned = [plan(recipe) for recipe in recipes]
-    missing = [each for each in planned if each.action != "leave alone"]
+    missing = [each for each in map(plan, recipes) if each.action != "leave alone"]
     if dry_run and as_json:
         print_json({"cells": cells, "seconds": seconds, "publish": [each.dataset_id for each in missing]})
     else:
@@ -321,7 +320,7 @@ def _publish(recipes: Sequence[Recipe], jobs: int, *, trains: bool = True, quiet
     outcomes = publish_all(recipes, jobs=jobs)
     for outcome in advancing(outcomes, "preparing datasets", len(recipes), quiet=quiet):
         if outcome.error:
-            raise BenchmarkError(f"the benchmark cannot get its data: {outcome.error}")
+            raise BenchmarkError(outcome.error)
 
 
 def _show(scores: Sequence[MethodScore], as_json: bool = False) -> None:

@@ -110,11 +110,10 @@ def _print_record(record: Mapping[str, Any]) -> None:
         out.print("no expert policy is shipped: `imujoco train` makes one")
         return
     evaluation, random = record["evaluation"], record.get("random")
-    trained = f"{record['steps']:,} steps from {record['start']}, seed {record['seed']}"
-    out.print(
-        f"expert       {record['algorithm']}, "
-        + (trained if record["steps"] else f"the policy of {record['start']} as it is")
-    )
+    made = f"the policy of {record['start']} as it is"
+    if record["steps"]:
+        made = f"{record['steps']:,} steps from {record['start']}, seed {record['seed']}"
+    out.print(f"expert       {record['algorithm']}, {made}")
     out.print(
         f"return       {evaluation['return_mean']:.1f} ± {evaluation['return_std']:.1f} "
         f"({evaluation['return_min']:.1f} to {evaluation['return_max']:.1f}) "

@@ -151,7 +151,8 @@ def find_published(dataset_id: str, asked: Mapping[str, Any], *, force: bool) ->
         wanted = ", ".join(_format_value(key, value) for key, value in differing.items())
         raise DatasetExistsError(
             f"{dataset_id} is already published, but differs: it has {has}; you asked for {wanted}. "
-            "Replace it with `imujoco publish --force` (force=True), or choose another tier"
+            f"Replace it with --force (force=True), delete it with `imujoco delete {dataset_id}`, "
+            "or choose another tier"
         )
     return found
 

@@ -237,7 +237,12 @@ def _training_groups(variants: Sequence[Variant], plan: Plan) -> Iterator[list[V
 
 @contextmanager
 def _lock_folder(folder: Path) -> Iterator[None]:
-    """Lock a run's state folder; raise a TrainingError if another process has the lock."""
+    """Lock a run's state folder.
+
+    Raises:
+        StorageError: if the folder cannot be written.
+        TrainingError: if another process has the lock.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         handle = os.open(folder / "lock", os.O_CREAT | os.O_RDWR)

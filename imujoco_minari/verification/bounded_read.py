@@ -157,7 +157,7 @@ def _follow(file: h5py.File, data: Path, name: str) -> None:
 
 
 def _arrays(group: Any, where: str) -> dict[str, ReadableArray]:
-    """Return the arrays of an episode, which holds nothing else but an empty group of infos."""
+    """Return the arrays of an episode. Beside them it may hold an empty group of infos, and nothing else."""
     try:
         containment.check_links(group, "")
     except DatasetError as error:
@@ -168,7 +168,7 @@ def _arrays(group: Any, where: str) -> dict[str, ReadableArray]:
         place = f"{where}/{key}"
         try:
             array = h5py.h5o.open(group, raw)
-            if key == file_format.INFOS and _is_empty(array):
+            if key == file_format.INFOS and _is_empty_group(array):
                 continue
             if not isinstance(array, h5py.h5d.DatasetID):
                 raise UnreadableError(place, "is no array")
@@ -180,7 +180,7 @@ def _arrays(group: Any, where: str) -> dict[str, ReadableArray]:
     return found
 
 
-def _is_empty(item: Any) -> bool:
+def _is_empty_group(item: Any) -> bool:
     return isinstance(item, h5py.h5g.GroupID) and not len(item) and not h5py.h5a.get_num_attrs(item)
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 
 import pytest
 from actor_datasets import publish_actors
 from doc_blocks import REPOSITORY, pages, read_page, run_page
+
+from imujoco_minari.variants import EXPERT, parse_dataset_id
 
 PAGES = {str(path.relative_to(REPOSITORY)): path for path in pages()}
 
@@ -32,6 +35,15 @@ def test_the_page_runs(
     ran = run_page(page)
     needed = [block.needs for block in page.blocks if block.needs]
     assert needed or len(ran) == sum(not block.not_run for block in page.blocks)
+
+
+@pytest.mark.parametrize("name", [name for name, path in PAGES.items() if read_page(path).has])
+def test_a_page_says_how_to_publish_the_datasets_that_it_reads(name: str) -> None:
+    commands = re.findall(r"imujoco publish ([^`\n]*)", PAGES[name].read_text("utf-8"))
+    published = {word for command in commands for word in command.split()}
+    read = [parse_dataset_id(dataset_id) for dataset_id in read_page(PAGES[name]).has]
+    assert {str(variant) for variant, _ in read} <= published
+    assert {tier for _, tier in read} <= published | {EXPERT}
 
 
 def page_of(tmp_path: Path, text: str) -> Path:
