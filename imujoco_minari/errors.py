@@ -53,6 +53,10 @@ class PolicyError(ImujocoError, ValueError):
     """A policy file that cannot be read, or that does not fit the robot."""
 
 
+class PolicyWarning(UserWarning):
+    """A policy that falls or scores low, before its episodes are published."""
+
+
 class PolicyNotFoundError(NotFoundError, FileNotFoundError):
     """No policy exists for the variant and the tier, or at the given path."""
 

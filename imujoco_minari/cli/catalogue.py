@@ -11,6 +11,7 @@ from imujoco_minari.cli.printing import out, print_json, print_table
 from imujoco_minari.cli.selection import Filters, counted_variants
 from imujoco_minari.errors import VariantError
 from imujoco_minari.policies import expert_record, expert_variants
+from imujoco_minari.policies.experts import FOLDED
 from imujoco_minari.storage import minari_root
 from imujoco_minari.variants import EXPERT, NAMESPACE, Variant, parse_dataset_id
 
@@ -109,11 +110,19 @@ def _print_record(record: Mapping[str, Any]) -> None:
     if not record:
         out.print("no expert policy is shipped: `imujoco train` makes one")
         return
-    evaluation, random = record["evaluation"], record.get("random")
+    if record["start"] == FOLDED:
+        out.print(
+            f"expert       {record['algorithm']}, the universal policy, told this variant; no own training"
+        )
+    evaluation, random = record.get("evaluation"), record.get("random")
+    if evaluation is None:
+        out.print("return       not measured yet: `imujoco publish` and `imujoco evaluate` measure it")
+        return
     made = f"the policy of {record['start']} as it is"
-    if record["steps"]:
+    if record.get("steps"):
         made = f"{record['steps']:,} steps from {record['start']}, seed {record['seed']}"
-    out.print(f"expert       {record['algorithm']}, {made}")
+    if record["start"] != FOLDED:
+        out.print(f"expert       {record['algorithm']}, {made}")
     out.print(
         f"return       {evaluation['return_mean']:.1f} ± {evaluation['return_std']:.1f} "
         f"({evaluation['return_min']:.1f} to {evaluation['return_max']:.1f}) "

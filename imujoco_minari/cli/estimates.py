@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from imujoco_minari.cli.printing import counted
 from imujoco_minari.errors import DatasetError, ImujocoError, clipped
-from imujoco_minari.policies import expert_record
+from imujoco_minari.policies import expert_record, own_record
 from imujoco_minari.policies.tiers import MEDIUM_REPLAY
 from imujoco_minari.storage import minari_root
 from imujoco_minari.variants import BASE, EXPERT, Variant, parse_dataset_id, specification
@@ -158,7 +158,7 @@ def _stated_counts(dataset_id: str) -> tuple[int, int]:
 def training_line(variants: Iterable[Variant], policies: Path | None, jobs: int, *, improve: bool) -> str:
     """Return one line with the disk and the time that training takes: the missing experts, or all of them."""
     chosen = list(variants)
-    wanted = [variant for variant in chosen if improve or not expert_record(variant, policies)]
+    wanted = [variant for variant in chosen if improve or not own_record(variant, policies)]
     base = sum(variant.category == BASE for variant in wanted)
     size = base * BYTES_PER_BASE + (len(wanted) - base) * BYTES_PER_EXPERT
     seconds = base * SECONDS_PER_BASE + (len(wanted) - base) * SECONDS_PER_EXPERT

@@ -30,6 +30,7 @@ from imujoco_minari.cli.options import (
 )
 from imujoco_minari.cli.printing import counted, out, print_json, print_table, say
 from imujoco_minari.cli.selection import Filters, select
+from imujoco_minari.errors import ArgumentError
 from imujoco_minari.policies import expert_record, expert_variants, policies_folder
 from imujoco_minari.policies.rungs import mean_return, medium_rung
 from imujoco_minari.policies.standing import COLUMNS, share_of_base, standings
@@ -53,6 +54,10 @@ def train_variants(
     category: Category = None,
     everything: Everything = False,
     with_base: WithBase = False,
+    universal: Annotated[
+        bool,
+        typer.Option("--universal", help="Train the universal policy of the robot in --robot instead."),
+    ] = False,
     scratch: Annotated[
         bool, typer.Option("--scratch", help="Do not start from the base robot's agent.")
     ] = False,
@@ -105,13 +110,19 @@ def train_variants(
     command goes on after a failure and names the failures at the end. Policies are written to your own
     policies folder, or to the folder --output.
 
+    With --universal, one policy of the robot is trained that is told its variant. It acts in every variant
+    that has no expert of its own. The best known policies are distilled into it first, which takes minutes.
+
     Examples: `imujoco train hopper-massinc_37_torsogeom`,
+    `imujoco train --universal --robot hopper`,
     `imujoco train --robot hopper --jobs 2 --nice 10`,
     `imujoco train hopper-base --record-replay`
     """
     from imujoco_minari.training.hyperparameters import hyperparameter_changes
     from imujoco_minari.training.plan import Plan, default_state
 
+    if universal and (robot is None or variants or category):
+        raise ArgumentError("--universal trains one policy a robot: give --robot ROBOT and no variants")
     chosen = select(variants, Filters(robot, category, everything, with_base))
     changes = hyperparameter_changes(settings or [])
     if max_steps is not None:
@@ -128,6 +139,10 @@ def train_variants(
         ladders=ladders,
         device=device,
     )
+    if universal and robot is not None:
+        outcomes = _universal(robot, plan, max_steps, as_json)
+        gather(outcomes, describe_universal, as_json=as_json, name="variant")
+        return
     if len(chosen) > 1 and not as_json:
         say(training_line(chosen, output, jobs, improve=improve or ladders or record_replay))
     if record_replay:
@@ -166,6 +181,16 @@ def _trained(
         return
     outcomes = train_all(chosen, plan, jobs=jobs, backend=backend)
     yield from advancing(outcomes, "training", len(chosen), quiet=quiet)
+
+
+def _universal(robot: str, plan: Plan, steps: int | None, quiet: bool) -> Iterator[Trained]:
+    """Train the universal policy of a robot and yield the outcome."""
+    from imujoco_minari.training.anchored import Anchored
+    from imujoco_minari.training.universal import UniversalSettings, train_universal
+
+    os.nice(plan.nice)
+    anchored = Anchored(seed=plan.seed, **({} if steps is None else {"steps": steps}))
+    yield train_universal(robot, plan, UniversalSettings(anchored=anchored), None if quiet else say)
 
 
 def _teller(quiet: bool) -> OnInterval:
@@ -209,6 +234,19 @@ def describe_trained(outcome: Trained, plan: Plan) -> tuple[str, ...]:
         better = f"`imujoco train {variant} {again}` may do better"
         lines.append(f"  its return is {share:.2f} of the base expert's: {better}")
     return tuple(lines)
+
+
+def describe_universal(outcome: Trained) -> tuple[str, ...]:
+    """Return what to print of a universal policy that was trained or left alone."""
+    if not outcome.created:
+        return "left alone", f"{outcome.variant}: it exists already; --improve trains it further"
+    measured = outcome.record["measured"]
+    base = measured[f"{outcome.record['robot']}-{BASE}"]["evaluation"]["return_mean"]
+    shares = sorted(each["evaluation"]["return_mean"] / base for each in measured.values())
+    return "trained", (
+        f"{outcome.variant}: of its return on the base, {shares[len(shares) // 2]:.2f} in the median variant "
+        f"and {shares[0]:.2f} in the weakest"
+    )
 
 
 def _ladder(record: dict[str, Any]) -> str:

@@ -11,7 +11,9 @@ from imujoco_minari.policies.experts import (
     expert_record,
     expert_variants,
     find_policy_file,
+    own_record,
     policies_folder,
+    universal_policy,
 )
 from imujoco_minari.policies.files import read_actor
 from imujoco_minari.policies.tiers import load_policy
@@ -28,7 +30,9 @@ __all__ = [
     "expert_variants",
     "find_policy_file",
     "load_policy",
+    "own_record",
     "policies_folder",
     "random_policy",
     "read_actor",
+    "universal_policy",
 ]

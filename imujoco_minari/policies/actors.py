@@ -177,14 +177,27 @@ class Actor:
             observation: of shape ``(n,)``, or a batch of shape ``(b, n)``.
             rng: source of the sample; a deterministic actor does not use it.
         """
-        latent = observation.astype(np.float32)
-        for layer in self._hidden:
-            latent = self._activate(_affine(latent, layer))
+        latent = self._latent(observation)
         mean = _affine(latent, self._mean)
         if not self.deterministic:
             log_std = np.clip(_affine(latent, self._log_std), *_LOG_STD_RANGE)
             mean = mean + np.exp(log_std) * rng.standard_normal(mean.shape, dtype=np.float32)
         return self._scale(np.tanh(mean))
+
+    def distribution(self, observation: Array) -> tuple[Array, Array]:
+        """Return mean and log deviation of the Gaussian before squashing, each of shape (..., action size).
+
+        Args:
+            observation: of shape ``(n,)``, or a batch of shape ``(b, n)``.
+        """
+        latent = self._latent(observation)
+        return _affine(latent, self._mean), np.clip(_affine(latent, self._log_std), *_LOG_STD_RANGE)
+
+    def _latent(self, observation: Array) -> Array:
+        latent = observation.astype(np.float32)
+        for layer in self._hidden:
+            latent = self._activate(_affine(latent, layer))
+        return latent
 
     def act_together(self, observations: Array, rngs: Sequence[np.random.Generator]) -> Array:
         """Return the actions, of shape (b, action size), for several observations.

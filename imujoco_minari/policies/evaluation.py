@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import gymnasium as gym
-import numpy as np
 
-from imujoco_minari.envs.registration import environment_spec
-from imujoco_minari.errors import ArgumentError, VariantError, whole_number
-from imujoco_minari.policies import LANES, Array
-from imujoco_minari.policies.adapters import batch_act, checked
+from imujoco_minari.errors import VariantError
+from imujoco_minari.policies import Array
 from imujoco_minari.policies.aggregates import bootstrap_interval, interquartile_mean
+from imujoco_minari.policies.measuring import acts_deterministically, measure, summary
 from imujoco_minari.policies.normalized import normalized_score
-from imujoco_minari.policies.rollouts import episode_seed, roll_out_together
 from imujoco_minari.variants import Variant
 
 
@@ -119,13 +115,7 @@ class Evaluation:
 
     def asdict(self) -> dict[str, Any]:
         """Return a summary of the returns for JSON, as records of policies and metadata hold it."""
-        summary = ("return_mean", "return_std", "return_min", "return_max", "length_mean")
-        return {
-            "episodes": self.episodes,
-            "seed": self.seed,
-            "deterministic": self.deterministic,
-            **{name: getattr(self, name) for name in summary},
-        }
+        return summary(self.returns, self.lengths, self.seed, self.deterministic)
 
 
 def evaluate(
@@ -161,51 +151,5 @@ def evaluate(
         >>> evaluation.returns.shape, evaluation.score_mean  # doctest: +SKIP
         ((10,), 1.0)
     """
-    whole_number(episodes, "episodes", least=1)
-    whole_number(seed, "seed", least=0)
-    act = batch_act(policy)
-    returns, lengths, variants = np.empty(episodes), np.empty(episodes, np.int64), [""] * episodes
-    seeds = [episode_seed(seed, number) for number in range(episodes)]
-    with _opened(env, min(LANES, episodes)) as envs:
-        act = checked(act, envs[0].action_space.shape or ())
-        for number, lane, total_reward, length in roll_out_together(envs, act, seeds):
-            returns[number], lengths[number] = total_reward, length
-            variants[number] = _variant_id(envs[lane])
-            if on_episode is not None:
-                on_episode()
-    deterministic = getattr(policy, "deterministic", None)
-    return Evaluation(
-        returns,
-        lengths,
-        tuple(variants),
-        seed,
-        deterministic if isinstance(deterministic, bool) else None,
-    )
-
-
-@contextmanager
-def _opened(env: Any, lanes: int) -> Iterator[list[gym.Env[Any, Any]]]:
-    """Open environments to run side by side, or use the one that is given."""
-    if isinstance(env, gym.Env):
-        yield [env]
-        return
-    if not isinstance(env, Variant | str):
-        raise ArgumentError(
-            f"the environment is a variant, its id or a gymnasium.Env, not {type(env).__name__}; "
-            "the policy is the second argument"
-        )
-    spec = gym.registry[env] if env in gym.registry else environment_spec(env)
-    envs: list[gym.Env[Any, Any]] = []
-    try:
-        envs += (gym.make(spec, disable_env_checker=True) for _ in range(lanes))
-        yield envs
-    finally:
-        for each in envs:
-            each.close()
-
-
-def _variant_id(env: gym.Env[Any, Any]) -> str:
-    """Return the id of the variant of the present episode; empty where there are no reference scores."""
-    variant = getattr(env.unwrapped, "variant", None)
-    # A variant of the original archive has a class of its own, and other references.
-    return str(variant) if type(variant) is Variant else ""
+    measured = measure(env, policy, episodes, seed, on_episode)
+    return Evaluation(*measured, seed, acts_deterministically(policy))

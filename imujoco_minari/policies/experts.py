@@ -1,6 +1,8 @@
-"""Experts and their training records: those that the user has trained, and those that the package ships.
+"""The expert of a variant: its own, or else the universal policy of its robot, told the variant.
 
-A user's file takes precedence over a shipped file of the same name.
+An expert is *own* if it was trained on the variant alone. It then has a file and a training record. The
+*folded* policy needs neither, so every variant of a robot with a universal policy has an expert. A user's
+file takes precedence over a shipped file of the same name.
 """
 
 from __future__ import annotations
@@ -9,32 +11,41 @@ import json
 import os
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from imujoco_minari.errors import PolicyError, PolicyNotFoundError, VariantError
 from imujoco_minari.policies.actors import Actor
 from imujoco_minari.policies.files import actor_of_bytes
+from imujoco_minari.policies.universal import UniversalPolicy, read_universal, universal_name
+from imujoco_minari.storage.files import write_json
 from imujoco_minari.variants import Variant
+
+# What the record of a folded expert states as its `start`.
+FOLDED = "universal policy"
 
 
 def expert_actor(variant: Variant, *, deterministic: bool = True) -> Actor:
-    """Return the expert actor of a variant.
+    """Return the expert of a variant: its own, or else the folded one.
 
     Args:
-        variant: the variant that the expert was trained on.
+        variant: the variant.
         deterministic: whether the actor takes the mode of its distribution, or a sample.
 
     Raises:
-        PolicyNotFoundError: if neither the user nor the package has an expert for the variant.
-        PolicyError: if its files are damaged.
+        PolicyNotFoundError: if the variant has no expert of its own and its robot has no universal policy.
+        PolicyError: if the files are damaged.
     """
-    record = expert_record(variant)
+    record = own_record(variant)
     if not record:
-        raise PolicyNotFoundError(
-            f"no expert policy exists for {variant}: train one with `imujoco train {variant}`, or give one "
-            f"with --policy FILE; `imujoco policies` lists the {len(expert_variants())} that exist"
-        )
+        universal = universal_policy(variant.robot)
+        if universal is None:
+            raise PolicyNotFoundError(
+                f"no expert policy exists for {variant}: train one with `imujoco train {variant}`, or give "
+                f"one with --policy FILE; `imujoco policies` lists the {len(expert_variants())} that exist"
+            )
+        return replace(universal.fold(variant, deterministic=deterministic), record=expert_record(variant))
     path = find_policy_file(f"{variant}.safetensors")
     if path is None:
         raise PolicyNotFoundError(f"{variant} has a training record, but {variant}.safetensors is missing")
@@ -43,18 +54,84 @@ def expert_actor(variant: Variant, *, deterministic: bool = True) -> Actor:
 
 
 def expert_record(variant: Variant, folder: Path | None = None) -> Mapping[str, Any]:
-    """Return the training record of a variant's expert, or an empty mapping when it has no expert.
+    """Return the record of a variant's expert, or an empty mapping when it has no expert.
+
+    The record of an own expert is that of its training. The record of a folded expert states the digest of
+    the universal policy and what it was told, and the evaluations that are known:
+    :func:`~imujoco_minari.policies.references.measured_record` makes them.
 
     Args:
-        variant: the variant that the expert was trained on.
+        variant: the variant.
+        folder: folder to search before the package's; None means :func:`policies_folder`.
+
+    Raises:
+        PolicyError: if the record cannot be read.
+    """
+    return own_record(variant, folder) or _folded_record(variant, folder)
+
+
+def own_record(variant: Variant, folder: Path | None = None) -> Mapping[str, Any]:
+    """Return the training record of the expert that was trained on a variant; empty when there is none.
+
+    Args:
+        variant: the variant.
         folder: folder to search before the package's; None means :func:`policies_folder`.
 
     Raises:
         PolicyError: if the record cannot be read.
     """
     path = find_policy_file(f"{variant}.json", folder)
-    if path is None:
+    return {} if path is None else _read_record(path)
+
+
+def universal_policy(robot: str, folder: Path | None = None) -> UniversalPolicy | None:
+    """Return the universal policy of a robot, or None when it has none.
+
+    Args:
+        robot: the robot.
+        folder: folder to search before the package's; None means :func:`policies_folder`.
+
+    Raises:
+        PolicyError: if its files are damaged.
+    """
+    path = find_policy_file(f"{universal_name(robot)}.safetensors", folder)
+    return None if path is None else read_universal(path)
+
+
+def _folded_record(variant: Variant, folder: Path | None = None) -> Mapping[str, Any]:
+    universal = universal_policy(variant.robot, folder)
+    if universal is None or type(variant) is not Variant:
         return {}
+    actor = universal.fold(variant)
+    record = {
+        "variant": str(variant),
+        "algorithm": actor.algorithm,
+        "start": FOLDED,
+        "universal_sha256": universal.sha256,
+        "told": universal.told(variant),
+        "weights_sha256": actor.sha256,
+    }
+    measured = universal.record["measured"].get(str(variant))
+    kept = _measured_file(variant)
+    if measured is None and kept.is_file():
+        measured = _read_record(kept)
+        if measured.get("weights_sha256") != actor.sha256:
+            measured = None
+    return record | dict(measured or {})
+
+
+def keep_measured(variant: Variant, measured: Mapping[str, Any]) -> None:
+    """Keep the evaluations of a folded expert, beside the user's policies, for :func:`expert_record`."""
+    path = _measured_file(variant)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_json(path, dict(measured))
+
+
+def _measured_file(variant: Variant) -> Path:
+    return policies_folder().parent / "measured" / f"{variant}.json"
+
+
+def _read_record(path: Path) -> Mapping[str, Any]:
     try:
         record = json.loads(path.read_text("utf-8"))
     except ValueError as error:
@@ -65,7 +142,7 @@ def expert_record(variant: Variant, folder: Path | None = None) -> Mapping[str, 
 
 
 def expert_variants(folder: Path | None = None) -> tuple[Variant, ...]:
-    """Return the variants that have an expert policy of the user or of the package, sorted.
+    """Return the variants that have an expert of their own, of the user or of the package, sorted.
 
     Args:
         folder: folder to search before the package's; None means :func:`policies_folder`.

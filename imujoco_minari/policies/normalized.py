@@ -8,14 +8,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from imujoco_minari.errors import ArgumentError, PolicyNotFoundError, clipped
-from imujoco_minari.policies import Array, expert_record
+from imujoco_minari.policies import Array
+from imujoco_minari.policies.references import measured_record
 from imujoco_minari.variants import Variant
 
 
 def normalized_score(variant: Variant | str | Sequence[Variant | str] | Array, returns: ArrayLike) -> Array:
     """Return normalised scores: 0 for the return of a variant's random policy, 1 for that of its expert.
 
-    The references come from the records of the policies, so no dataset is needed.
+    The references come from the records of the policies, so no dataset is needed. A folded expert is
+    evaluated at the first need, which takes seconds.
 
     Args:
         variant: the variant or its id, or a sequence or array with one for each return, as a collection
@@ -54,8 +56,8 @@ def normalized_score(variant: Variant | str | Sequence[Variant | str] | Array, r
 
 
 def _references(variant: Variant) -> tuple[float, float]:
-    """Return the returns that score 0 and 1. The record of an expert states both."""
-    record = expert_record(variant)
+    """Return the returns that score 0 and 1."""
+    record = measured_record(variant)
     if "evaluation" not in record:
         raise PolicyNotFoundError(
             f"{variant} has no expert, so no return scores 1: train one with `imujoco train {variant}`"

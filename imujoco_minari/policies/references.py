@@ -2,25 +2,72 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
-from imujoco_minari.policies import expert_record, random_policy
-from imujoco_minari.policies.evaluation import Evaluation, evaluate
+from imujoco_minari.policies import Actor, Policy, expert_actor, expert_record, random_policy
+from imujoco_minari.policies.experts import FOLDED, keep_measured
+from imujoco_minari.policies.measuring import measure, summary
 from imujoco_minari.variants import Variant
 from imujoco_minari.variants.robots import follows_page
 
 EPISODES = 100
+# Base seed of the episodes that confirm an expert. They chose nothing, and no dataset begins with it.
+CONFIRMING_SEED = 1_000_003
+# A folded expert below this share of its base's return is named before its data are published.
+WEAK_SHARE = 0.5
+
+
+def measured_record(variant: Variant) -> Mapping[str, Any]:
+    """Return the record of a variant's expert with its evaluations; empty when it has no expert.
+
+    A folded expert is evaluated at the first need, over 100 episodes, which takes seconds. The result is
+    kept beside the user's policies.
+    """
+    record = expert_record(variant)
+    if not record or "evaluation" in record:
+        return record
+    measured = evaluations(variant, expert_actor(variant))
+    keep_measured(variant, measured)
+    return dict(record) | measured
+
+
+def weakness_of(variant: Variant) -> str:
+    """Return what is weak about the folded expert of a variant and what to do; empty when nothing is.
+
+    Weak is a fall in 100 episodes of a robot that can fall, or less than half of the return on the base.
+    """
+    record, base = measured_record(variant), measured_record(variant.base)
+    if record.get("start") != FOLDED or "evaluation" not in base:
+        return ""
+    evaluation = record["evaluation"]
+    share = evaluation["return_mean"] / base["evaluation"]["return_mean"]
+    falls = evaluation["length_mean"] < base["evaluation"]["length_mean"]
+    weak = [f"has {share:.2f} of the base expert's return"] if share < WEAK_SHARE else []
+    weak += ["falls in some episodes"] if falls else []
+    if not weak:
+        return ""
+    return f"the expert of {variant} {' and '.join(weak)}: `imujoco train {variant}` may make a better one"
+
+
+def evaluations(variant: Variant, expert: Actor) -> dict[str, Any]:
+    """Return the evaluations of an expert and of the random policy on a variant, as records hold them."""
+    return {
+        "weights_sha256": expert.sha256,
+        "evaluation": _evaluation(variant, expert, CONFIRMING_SEED),
+        "random": random_evaluation(variant),
+    }
 
 
 def reference_scores(variant: Variant) -> dict[str, Any]:
     """Return the reference scores of a variant as metadata, with the evaluations that they come from.
 
-    ``ref_max_score`` is missing if the variant has no expert. If it has no record, the random policy is
-    evaluated now, which takes seconds.
+    ``ref_max_score`` is missing if the variant has no expert. Evaluations that no record has are made now,
+    which takes seconds.
     """
-    record = expert_record(variant)
-    random = record.get("random") or random_evaluation(variant).asdict()
+    record = measured_record(variant)
+    random = record.get("random") or random_evaluation(variant)
     scores: dict[str, Any] = {
         "ref_min_score": random["return_mean"],
         "num_episodes_average_score": random["episodes"],
@@ -34,6 +81,11 @@ def reference_scores(variant: Variant) -> dict[str, Any]:
 
 @follows_page
 @lru_cache(maxsize=256)
-def random_evaluation(variant: Variant) -> Evaluation:
-    """Evaluate the random policy for 100 episodes of a variant."""
-    return evaluate(variant, random_policy(variant.robot), episodes=EPISODES)
+def random_evaluation(variant: Variant) -> dict[str, Any]:
+    """Evaluate the random policy for 100 episodes of a variant and return a summary of them."""
+    return _evaluation(variant, random_policy(variant.robot), 0)
+
+
+def _evaluation(variant: Variant, policy: Policy, seed: int) -> dict[str, Any]:
+    returns, lengths, _ = measure(variant, policy, EPISODES, seed)
+    return summary(returns, lengths, seed, policy.deterministic)

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 from imujoco_minari.errors import PolicyNotFoundError
 from imujoco_minari.policies.actors import Actor
-from imujoco_minari.policies.experts import expert_record, expert_variants, find_policy_file
+from imujoco_minari.policies.experts import expert_variants, find_policy_file, own_record
 from imujoco_minari.policies.files import read_actor
 from imujoco_minari.variants import Variant
 
@@ -34,7 +34,7 @@ def ladder(variant: Variant) -> Sequence[Rung]:
     Raises:
         PolicyNotFoundError: if the variant has no record, or its record has no ladder.
     """
-    rungs = expert_record(variant).get("ladder")
+    rungs = own_record(variant).get("ladder")
     if not rungs:
         raise PolicyNotFoundError(
             f"no ladder of policies exists for {variant}: `imujoco train {variant}` measures one"
@@ -53,7 +53,7 @@ def rungs_of_variants(robot: str, folder: Path | None = None) -> list[dict[str, 
         {"run": str(variant), "steps": rung["steps"]}
         for variant in expert_variants(folder)
         if variant.robot == robot
-        for rung in expert_record(variant, folder).get("ladder", ())
+        for rung in own_record(variant, folder).get("ladder", ())
         if rung.get("run") == str(variant)
     ]
 
@@ -119,7 +119,7 @@ def read_rung(
     path = find_policy_file(name, folder)
     if path is None:
         raise PolicyNotFoundError(f"the training record of {variant} names {name}, which is missing")
-    algorithm = expert_record(variant, folder).get("algorithm", "SAC")
+    algorithm = own_record(variant, folder).get("algorithm", "SAC")
     return read_actor(path, deterministic=deterministic, algorithm=algorithm).for_robot(variant.robot)
 
 

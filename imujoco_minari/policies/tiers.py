@@ -15,8 +15,9 @@ from typing import Any
 
 from imujoco_minari.errors import DatasetError, PolicyNotFoundError, suggestion
 from imujoco_minari.policies.actors import Policy, random_policy
-from imujoco_minari.policies.experts import expert_actor, expert_record
+from imujoco_minari.policies.experts import expert_actor
 from imujoco_minari.policies.files import read_actor
+from imujoco_minari.policies.references import measured_record
 from imujoco_minari.policies.rungs import (
     RANKED_SHARES,
     ladder,
@@ -139,7 +140,7 @@ def _expert_stochastic(variant: Variant, deterministic: bool) -> list[_Maker]:
 
 
 def _medium(variant: Variant, deterministic: bool) -> list[_Maker]:
-    rung = medium_rung(ladder(variant), mean_return(expert_record(variant)))
+    rung = medium_rung(ladder(variant), mean_return(measured_record(variant)))
     return [(read_rung(variant, rung, deterministic=deterministic), {"rung": int(rung["steps"])})]
 
 
@@ -156,7 +157,7 @@ def _medium_expert(variant: Variant, deterministic: bool) -> list[_Maker]:
 def _ranked(variant: Variant, deterministic: bool) -> list[_Maker]:
     """Return the expert and the rungs whose returns are spread most evenly below it, the best first."""
     rungs, expert = ladder(variant), expert_actor(variant, deterministic=deterministic)
-    expert_return = mean_return(expert.record)
+    expert_return = mean_return(measured_record(variant))
     chosen = ranked_rungs(rungs, expert_return)
     if len(chosen) < len(RANKED_SHARES):
         raise PolicyNotFoundError(

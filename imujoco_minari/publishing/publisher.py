@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 from imujoco_minari.envs.mjcf import canonical_mjcf
-from imujoco_minari.errors import ArgumentError, ImujocoError, JobError, whole_number
+from imujoco_minari.errors import ArgumentError, ImujocoError, JobError, PolicyWarning, whole_number
 from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies import Policy
-from imujoco_minari.policies.references import reference_scores
+from imujoco_minari.policies.references import reference_scores, weakness_of
 from imujoco_minari.policies.tiers import MEDIUM_REPLAY
 from imujoco_minari.publishing.new_dataset import NewDataset, Published, find_published, publish_written
 from imujoco_minari.publishing.recipes import Recipe, algorithms, description
@@ -93,7 +94,10 @@ def publish_recipe(
         return found
     start = time.monotonic()
     references = {} if isinstance(recipe.variant, Ranges) else reference_scores(recipe.variant)
-    metadata = references | stated | {"tier": recipe.tier}
+    told = recipe.told(made_by)
+    if told and (weakness := weakness_of(recipe.nominal)):
+        warnings.warn(weakness, PolicyWarning, stacklevel=2)
+    metadata = references | stated | told | {"tier": recipe.tier}
     metadata |= provenance(
         algorithm=algorithms([part.policy for part in made_by]), description=description(recipe, made_by)
     )

@@ -9,6 +9,7 @@ from typing import Any
 
 from imujoco_minari.errors import DatasetError, PolicyError, VariantError, whole_number
 from imujoco_minari.policies import Policy
+from imujoco_minari.policies.experts import FOLDED
 from imujoco_minari.policies.tiers import MEDIUM_REPLAY, TierPart, parts
 from imujoco_minari.storage import file_format
 from imujoco_minari.variants import EXPERT, Ranges, Variant
@@ -110,6 +111,24 @@ class Recipe:
             "policy_deterministic": all(policy.deterministic for policy in policies),
         }
 
+    def told(self, made_by: Sequence[TierPart]) -> dict[str, Any]:
+        """Return the metadata of folded experts: the universal policy, and what it was told in percent.
+
+        They are empty if another policy makes the episodes.
+
+        Args:
+            made_by: the parts of the dataset.
+        """
+        records = [getattr(part.policy, "record", {}) for part in made_by]
+        return next(
+            (
+                {"universal_sha256": record["universal_sha256"], "policy_told": record["told"]}
+                for record in records
+                if record.get("start") == FOLDED
+            ),
+            {},
+        )
+
 
 def _check_policy(policy: Any, robot: str) -> None:
     """Check that a policy states what the metadata of its dataset state, and fits the robot.
@@ -146,9 +165,10 @@ def description(recipe: Recipe, made_by: Sequence[TierPart]) -> str:
             for one in variant.changes
         )
         change = change or "unchanged"
+    folded = "the universal policy, told the variant: " if recipe.told(made_by) else ""
     return (
         f"iMuJoCo, rebuilt: the robot {variant.robot} of Gymnasium's v5 environments, {change}. "
         f"{recipe.episodes} episodes of the tier {recipe.tier}, by {len(policies)} "
-        f"{'policy' if len(policies) == 1 else 'policies'} ({algorithms(policies)}) acting "
+        f"{'policy' if len(policies) == 1 else 'policies'} ({folded}{algorithms(policies)}) acting "
         f"{'deterministically' if all(policy.deterministic for policy in policies) else 'stochastically'}."
     )

@@ -17,8 +17,7 @@ from minari.dataset.minari_storage import MinariStorage
 from imujoco_minari.envs.mjcf import canonical_mjcf
 from imujoco_minari.envs.registration import environment_spec
 from imujoco_minari.errors import PolicyNotFoundError, TrainingError
-from imujoco_minari.policies import expert_record
-from imujoco_minari.policies.references import reference_scores
+from imujoco_minari.policies.references import measured_record, reference_scores
 from imujoco_minari.policies.rungs import MEDIUM_SHARE
 from imujoco_minari.policies.tiers import MEDIUM_REPLAY, REPLAY
 from imujoco_minari.publishing.collector import StorageCollector
@@ -84,7 +83,7 @@ def record_medium_replay(
         TrainingError: if the run does not reach the return.
     """
     variant = recipe.nominal
-    expert = expert_record(variant)
+    expert = measured_record(variant)
     if not expert:
         raise PolicyNotFoundError(
             f"{MEDIUM_REPLAY} ends at {MEDIUM_SHARE} of the expert's return, and {variant} has no expert: "

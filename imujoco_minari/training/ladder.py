@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from imujoco_minari.policies import Actor, expert_record
+from imujoco_minari.policies import Actor, own_record
 from imujoco_minari.policies.evaluation import evaluate
 from imujoco_minari.policies.rungs import (
     MEDIUM_SHARE,
@@ -60,7 +60,7 @@ class Ladder:
     def add_known(self) -> None:
         """Evaluate the rungs that the records of the variant and of its base list, and add them."""
         base, own = (
-            expert_record(each, self.policies).get("ladder", []) for each in (self.variant.base, self.variant)
+            own_record(each, self.policies).get("ladder", []) for each in (self.variant.base, self.variant)
         )
         known = [{"steps": rung["steps"]} for rung in base]
         known += [{"run": rung["run"], "steps": rung["steps"]} for rung in own if "run" in rung]

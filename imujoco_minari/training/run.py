@@ -21,7 +21,7 @@ import numpy as np
 from imujoco_minari.errors import TrainingError
 from imujoco_minari.policies import Array
 from imujoco_minari.policies.evaluation import evaluate
-from imujoco_minari.policies.references import random_evaluation
+from imujoco_minari.policies.references import CONFIRMING_SEED, random_evaluation
 from imujoco_minari.policies.rollouts import episode_seed
 from imujoco_minari.training.agents import (
     ALGORITHM,
@@ -38,8 +38,8 @@ from imujoco_minari.training.hyperparameters import SCRATCH
 from imujoco_minari.training.task import Task
 from imujoco_minari.variants import BASE, Variant
 
-# Base seeds of the three kinds of evaluations. They differ from the default seed of datasets, 0.
-RANKING_SEED, CHOOSING_SEED, CONFIRMING_SEED = 1_000_001, 1_000_002, 1_000_003
+# Base seeds of the evaluations that rank and choose. They differ from the default seed of datasets, 0.
+RANKING_SEED, CHOOSING_SEED = 1_000_001, 1_000_002
 # A second evaluation follows unless the mean is below the best score by more than this share of it.
 _SECOND_EVALUATION_MARGIN = 0.02
 
@@ -282,7 +282,7 @@ class Run:
             "weights_sha256": actor_of(arrays, task.variant.robot).sha256,
             "selection": progress.best,
             "evaluation": confirmed,
-            "random": random_evaluation(task.variant).asdict(),
+            "random": random_evaluation(task.variant),
         }
 
 

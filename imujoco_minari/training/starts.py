@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from imujoco_minari.errors import PolicyNotFoundError
-from imujoco_minari.policies import Array, agent_file, expert_record, expert_variants, find_policy_file
+from imujoco_minari.policies import Array, agent_file, expert_variants, find_policy_file, own_record
 from imujoco_minari.policies.evaluation import evaluate
 from imujoco_minari.policies.rungs import mean_return
 from imujoco_minari.training.agents import actor_of, agent_actor, load_arrays, replace_actor
@@ -61,7 +61,7 @@ def base_start(variant: Variant, policies: Path) -> Start:
     Raises:
         PolicyNotFoundError: if that agent does not exist.
     """
-    record, path = expert_record(variant.base, policies), agent_file(variant.base, policies)
+    record, path = own_record(variant.base, policies), agent_file(variant.base, policies)
     if not record or path is None:
         raise PolicyNotFoundError(
             f"{variant} starts from the agent of {variant.base}, which does not exist: run "
@@ -89,7 +89,7 @@ def best_start(variant: Variant, policies: Path, target_share: float = 0.0) -> S
     for start in starts:
         start.score = _score(variant, agent_actor(start.agent), EPISODES)
     best = max(starts, key=lambda start: start.score)
-    target = target_share * mean_return(expert_record(variant.base, policies))
+    target = target_share * mean_return(own_record(variant.base, policies))
     return best if best.score >= target else _expert_start(variant, best, target, policies)
 
 
@@ -104,7 +104,7 @@ def _expert_start(variant: Variant, best: Start, target: float, policies: Path) 
             break
         score = _score(variant, experts[other], EPISODES)
         if score >= needed:
-            sha256 = str(expert_record(other, policies)["weights_sha256"])
+            sha256 = str(own_record(other, policies)["weights_sha256"])
             return Start(str(other), sha256, replace_actor(best.agent, experts[other]), score)
     return best
 

@@ -18,7 +18,7 @@ from typing import Any
 
 from imujoco_minari.errors import ImujocoError, JobError, StorageError, TrainingError
 from imujoco_minari.parallel import run_jobs
-from imujoco_minari.policies import expert_record
+from imujoco_minari.policies import own_record
 from imujoco_minari.policies.rungs import mean_return
 from imujoco_minari.storage.files import write_json
 from imujoco_minari.training.agents import load_arrays, save_arrays
@@ -83,12 +83,12 @@ def train(variant: Variant, plan: Plan, on_interval: OnInterval = do_nothing) ->
         TrainingError: if another process trains the variant.
     """
     again = plan.improve or plan.ladders
-    if not again and (done := expert_record(variant, plan.policies)):
+    if not again and (done := own_record(variant, plan.policies)):
         return Trained(variant, dict(done))
     folder = plan.state / str(variant)
-    with _lock_folder(folder):
+    with lock_folder(folder):
         # Another process may have finished it before this one got the lock.
-        done = dict(expert_record(variant, plan.policies))
+        done = dict(own_record(variant, plan.policies))
         if done and not again:
             return Trained(variant, done)
         if done and not plan.improve:
@@ -126,7 +126,7 @@ def train_generalist(robot: str, plan: Plan) -> Trained:
     """
     name = generalist_name(robot)
     folder, target = plan.state / name, plan.policies
-    with _lock_folder(folder):
+    with lock_folder(folder):
         if done := generalist_record(robot, plan.policies):
             return Trained(name, done)
         base = Variant(robot)
@@ -190,12 +190,12 @@ def task(variant: Variant, plan: Plan) -> Task:
         PolicyNotFoundError: if the agent to start from does not exist.
     """
     target = float("inf") if plan.target is None else plan.target
-    improving = plan.improve and bool(expert_record(variant, plan.policies))
+    improving = plan.improve and bool(own_record(variant, plan.policies))
     if plan.scratch or (variant.category == BASE and not improving):
         settings = hyperparameters(variant.robot, SCRATCH, **plan.changes)
         return Task(variant, settings, plan.seed, target=target)
     start = best_start(variant, plan.policies, TARGET_SHARE)
-    needed_score = TARGET_SHARE * mean_return(expert_record(variant.base, plan.policies))
+    needed_score = TARGET_SHARE * mean_return(own_record(variant.base, plan.policies))
     if plan.target is None and not improving:
         target = needed_score
     kind = IMPROVE if variant.category == BASE else _start_kind(start.score / needed_score)
@@ -225,7 +225,7 @@ def _training_groups(variants: Sequence[Variant], plan: Plan) -> Iterator[list[V
     general: list[str] = []
     if not plan.scratch:
         needed = dict.fromkeys(variant.base for variant in rest)
-        first += [base for base in needed if base not in first and not expert_record(base, plan.policies)]
+        first += [base for base in needed if base not in first and not own_record(base, plan.policies)]
         general = [
             base.robot
             for base in needed
@@ -236,7 +236,7 @@ def _training_groups(variants: Sequence[Variant], plan: Plan) -> Iterator[list[V
 
 
 @contextmanager
-def _lock_folder(folder: Path) -> Iterator[None]:
+def lock_folder(folder: Path) -> Iterator[None]:
     """Lock a run's state folder.
 
     Raises:

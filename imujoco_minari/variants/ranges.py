@@ -14,7 +14,7 @@ from imujoco_minari.variants.changes import Change, plain_number
 from imujoco_minari.variants.context import check_parameters
 from imujoco_minari.variants.ids import BASE, EXPERT, NAMESPACE, Variant
 from imujoco_minari.variants.pages import CATEGORIES
-from imujoco_minari.variants.robots import adopt_page, carried_page
+from imujoco_minari.variants.robots import adopt_page, carried_page, specification
 
 # The name of an environment or a dataset that draws from ranges.
 RANDOMISED = "randomised"
@@ -23,6 +23,18 @@ DISTRIBUTIONS = (UNIFORM, LOG_UNIFORM)
 _NAME = re.compile(r"[a-z][a-z0-9]{0,39}", re.ASCII)
 _TAKEN = (BASE, "all", *CATEGORIES)
 _EXAMPLE = "mass/torsogeom"
+# Percents to draw from where the catalogue lists none.
+_UNLISTED = {
+    "mass": (-50, 200),
+    "joint": (-50, 0),
+    "length": (-25, 50),
+    "friction": (-50, 50),
+    "gravity": (-50, 100),
+    "gear": (-50, 100),
+    "damping": (-50, 200),
+    "armature": (-50, 200),
+    "size": (-25, 50),
+}
 
 
 @dataclass(frozen=True)
@@ -110,6 +122,32 @@ class Ranges:
         else:
             percent = low + share * (high - low)
         return float(min(max(round(percent, 2), low), high))
+
+
+def drawing_ranges(robot: str, *, unlisted: bool = False) -> dict[str, tuple[float, float]]:
+    """Return the range of each parameter of a robot: from the lowest to the highest percent of the catalogue.
+
+    Every range includes 0, the unchanged robot.
+
+    Args:
+        robot: the robot.
+        unlisted: add the parameters of categories that the catalogue lists no variants of, with ranges in
+            which the robots can still be controlled.
+
+    Raises:
+        VariantError: if there is no such robot.
+
+    Example:
+        >>> drawing_ranges("hopper")["mass/torsogeom"]
+        (-50, 200)
+    """
+    ranges: dict[str, tuple[float, float]] = {}
+    for category, listing in specification(robot).categories.items():
+        if listing.percents or unlisted:
+            low, high = min((0, *listing.percents)), max((0, *listing.percents))
+            pair = (low, high) if listing.percents else _UNLISTED[category]
+            ranges |= dict.fromkeys((f"{category}/{body}" for body in listing.bodies), pair)
+    return ranges
 
 
 def _with_page(page: Mapping[str, str] | None, robot: str, *values: Any) -> Ranges:

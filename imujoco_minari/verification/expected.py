@@ -14,7 +14,7 @@ from typing import Any, TypeGuard
 import numpy as np
 
 from imujoco_minari.errors import ImujocoError
-from imujoco_minari.policies import expert_record
+from imujoco_minari.policies.experts import expert_record
 from imujoco_minari.policies.references import reference_scores
 from imujoco_minari.policies.rollouts import episode_seed
 from imujoco_minari.policies.tiers import RECORDED, TierPart, parts

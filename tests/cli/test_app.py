@@ -114,14 +114,14 @@ def test_verify_fails_on_damage(capsys: pytest.CaptureFixture[str], root: Path) 
         (["publish"], 2, "name a variant"),
         (["publish", "hopper-base", "--episodes", "0"], 2, "--episodes"),
         (["publish", "hopper-base", "--tier", "No Tier"], 2, "malformed tier"),
-        (["publish", "hopper-massinc_37_torsogeom"], 2, "imujoco train hopper-massinc_37_torsogeom"),
+        (["publish", "ant-base"], 2, "imujoco train ant-base"),
         (["publish", "hopper-base", "-t", "mine", "--policy", "no.zip"], 2, "no policy file at no.zip"),
         (["publish", "hopper-base", "--policy", "no.zip"], 2, "--policy needs a --tier"),
         (["verify", "imujoco/nothing-v0"], 2, "not in the Minari root"),
         (["verify", "../../etc-v0"], 2, "malformed dataset id"),
         (["combine", "--robot", "hopper"], 2, "imujoco publish --robot hopper"),
         (["combine", "a/b-v0"], 2, "--id"),
-        (["policy", "export", "hopper-massinc_37_torsogeom", "x.zip"], 2, "imujoco train"),
+        (["policy", "export", "ant-base", "x.zip"], 2, "imujoco train"),
     ],
 )
 def test_a_mistake_gets_one_clear_line_and_a_code(

@@ -103,8 +103,8 @@ def test_a_policy_of_another_robot_is_refused_with_the_robot_that_it_fits(tmp_pa
 
 
 def test_a_missing_policy_says_how_to_get_one(tmp_path: Path) -> None:
-    with pytest.raises(PolicyNotFoundError, match="imujoco train hopper-massinc_37_torsogeom"):
-        expert_actor(Variant.parse("hopper-massinc_37_torsogeom"))
+    with pytest.raises(PolicyNotFoundError, match="imujoco train ant-base"):
+        expert_actor(Variant.parse("ant-base"))
     with pytest.raises(PolicyNotFoundError, match=r"no policy file at .*nothing\.zip"):
         load_policy(HOPPER, path=tmp_path / "nothing.zip")
 

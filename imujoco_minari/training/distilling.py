@@ -1,0 +1,283 @@
+"""Distils many policies of a robot into its universal policy, by DAgger (Ross et al. 2011).
+
+The student acts in every variant, and the variant's teacher labels the observations that the student sees.
+A teacher is the best policy that is known for a variant. Distilling takes minutes, so it is not resumed: a
+run that is killed begins again and ends with the same weights.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from imujoco_minari.envs.registration import make
+from imujoco_minari.policies import Actor, Array
+from imujoco_minari.policies.evaluation import evaluate
+from imujoco_minari.policies.rollouts import episode_seed
+from imujoco_minari.policies.universal import FIRST_WEIGHT, whole_context
+from imujoco_minari.training.agents import import_jax
+from imujoco_minari.variants import Variant
+
+# Seed of the episodes that choose teachers.
+TEACHER_SEED = 1_000_006
+_HEADS = ("mu", "log_std")
+_LOG_STD_RANGE = (-20.0, 2.0)
+# The weight of the log deviation in the loss. The mode alone decides deterministic actions.
+_LOG_STD_WEIGHT = 0.1
+_NOISE = 0.1
+
+
+@dataclass(frozen=True)
+class Distilling:
+    """The settings of a distillation.
+
+    Attributes:
+        rounds: rounds in which the student acts.
+        steps: environment steps in each variant and round.
+        updates: gradient steps in each round; the last has four times as many.
+        batch_size: observations in each gradient step.
+        learning_rate: at the beginning of each round. It falls to a fifth, in the last round to a hundredth.
+        seed: of all that is random.
+    """
+
+    rounds: int = 10
+    steps: int = 1000
+    updates: int = 8000
+    batch_size: int = 512
+    learning_rate: float = 1e-3
+    seed: int = 0
+
+
+class Lesson(NamedTuple):
+    """A variant and the policy that teaches it.
+
+    Attributes:
+        variant: the variant.
+        teacher: an actor of the observation alone.
+        name: where the teacher comes from, for the record.
+        share: its mean return as a share of the base expert's.
+    """
+
+    variant: Variant
+    teacher: Actor
+    name: str
+    share: float
+
+
+class Round(NamedTuple):
+    """What a round of the student showed.
+
+    Attributes:
+        number: of the round, from 1.
+        shares: mean reward (per step) of the student in each variant, as a share of the teacher's.
+        loss: mean loss of the last gradient steps.
+        seconds: since the beginning.
+    """
+
+    number: int
+    shares: Array
+    loss: float
+    seconds: float
+
+
+def best_teacher(variant: Variant, candidates: dict[str, Actor], base_return: float) -> Lesson:
+    """Return the best of several policies for a variant: by one episode, then the best three by four.
+
+    Args:
+        variant: the variant.
+        candidates: name -> policy.
+        base_return: mean return of the base's expert on the base.
+    """
+    names = list(candidates)
+    for episodes, kept in ((1, 3), (4, 1)):
+        if len(names) > kept or episodes == 4:
+            returns = {
+                name: evaluate(variant, candidates[name], episodes=episodes, seed=TEACHER_SEED).return_mean
+                for name in names
+            }
+            names = sorted(names, key=returns.__getitem__, reverse=True)[:kept]
+    return Lesson(variant, candidates[names[0]], names[0], returns[names[0]] / base_return)
+
+
+class Lanes:
+    """One environment for each of several variants, stepped together without end."""
+
+    def __init__(self, variants: Sequence[Variant], seed: int) -> None:
+        self._envs = [make(variant, disable_env_checker=True) for variant in variants]
+        self._seed, self._episodes = seed, 0
+        self.observations = np.array([self._reset(env) for env in self._envs])
+
+    def _reset(self, env: Any) -> Any:
+        self._episodes += 1
+        return env.reset(seed=episode_seed(self._seed, self._episodes))[0]
+
+    def step(self, actions: Array) -> Array:
+        """Act in every environment and return the rewards. An environment that has ended is reset."""
+        rewards = np.empty(len(self._envs))
+        for lane, (env, action) in enumerate(zip(self._envs, actions, strict=True)):
+            observation, rewards[lane], terminated, truncated, _ = env.step(action)
+            self.observations[lane] = self._reset(env) if terminated or truncated else observation
+        return rewards
+
+    def restart(self) -> None:
+        """Reset every environment."""
+        self.observations = np.array([self._reset(env) for env in self._envs])
+
+    def close(self) -> None:
+        """Close the environments."""
+        for env in self._envs:
+            env.close()
+
+
+def distil(
+    lessons: Sequence[Lesson],
+    start: Actor,
+    settings: Distilling,
+    on_round: Callable[[Round, dict[str, Array]], None] = lambda told, weights: None,
+) -> dict[str, Array]:
+    """Return the weights of a universal policy that acts as the teachers do.
+
+    Args:
+        lessons: variants of one robot with their teachers.
+        start: the actor that the student begins as: one of the observation alone, whose context inputs begin
+            with zero weights, or one of observation and context.
+        settings: the settings.
+        on_round: called after each round with the student's weights.
+
+    Returns:
+        Arrays under Stable-Baselines3's names; the first layer takes observation and context.
+    """
+    begin, rng = time.monotonic(), np.random.default_rng(settings.seed)
+    contexts = np.array([whole_context(lesson.variant) for lesson in lessons], np.float32)
+    teachers = [lesson.teacher for lesson in lessons]
+    bound = teachers[0].bound
+    student = Student(start, contexts.shape[1], teachers[0].observation_size, settings)
+    lanes, memory = Lanes([lesson.variant for lesson in lessons], settings.seed), _Memory()
+
+    def record(act: Callable[[Array], Array]) -> Array:
+        """Act in every variant, remember what was seen, and return the mean rewards."""
+        lanes.restart()
+        seen, rewards = [], np.zeros(len(lessons))
+        for _ in range(settings.steps):
+            seen.append(lanes.observations.astype(np.float32))
+            rewards += lanes.step(np.clip(act(lanes.observations), -1, 1) * bound)
+        memory.add(np.array(seen), contexts, teachers)
+        return rewards / settings.steps
+
+    def taught(observations: Array, noise: float = 0.0) -> Array:
+        modes = [
+            np.tanh(teacher.distribution(row)[0]) for teacher, row in zip(teachers, observations, strict=True)
+        ]
+        return np.array(modes) + noise * rng.standard_normal(np.shape(modes))
+
+    wanted = record(taught)
+    record(partial(taught, noise=_NOISE))
+    for number in range(1, settings.rounds + 1):
+        last = number == settings.rounds
+        updates = settings.updates * (4 if last else 1)
+        loss = student.learn(memory, rng, updates, settings.learning_rate / (100 if last else 5))
+        rewards = record(lambda seen: student.act(np.concatenate([seen, contexts], axis=1)))
+        on_round(Round(number, rewards / wanted, loss, time.monotonic() - begin), student.weights())
+    lanes.close()
+    return student.weights()
+
+
+class _Memory:
+    """All observations that were seen with their contexts, and the labels of the teachers."""
+
+    def __init__(self) -> None:
+        self._rows: list[tuple[Array, Array]] = []
+
+    def add(self, seen: Array, contexts: Array, teachers: Sequence[Actor]) -> None:
+        """Add the observations that were seen, of shape (steps, variants, observation size)."""
+        told = np.broadcast_to(contexts, (*seen.shape[:2], contexts.shape[1]))
+        inputs = np.concatenate([seen, told], axis=2).reshape(-1, seen.shape[2] + told.shape[2])
+        labels = np.stack([label(teacher, seen[:, i]) for i, teacher in enumerate(teachers)], axis=1)
+        added = inputs, labels.reshape(len(inputs), -1)
+        self._rows = [
+            tuple(np.concatenate(parts) for parts in zip(*self._rows, added, strict=True))  # type: ignore
+        ]
+
+    def sample(self, rng: np.random.Generator, shape: tuple[int, int]) -> tuple[Array, Array]:
+        """Return inputs and labels, drawn evenly; shapes (*shape, inputs) and (*shape, labels)."""
+        inputs, labels = self._rows[0]
+        chosen = rng.integers(len(inputs), size=shape)
+        return inputs[chosen], labels[chosen]
+
+
+def label(teacher: Actor, observations: Array) -> Array:
+    """Return a teacher's modes, in [-1, 1], and log deviations; shape (b, 2 * action size)."""
+    mean, log_std = teacher.distribution(observations)
+    return np.concatenate([np.tanh(mean), log_std], axis=-1)
+
+
+class Student:
+    """The weights that learn, in JAX.
+
+    Args:
+        start: see :func:`distil`.
+        parameters: number of parameters of a context.
+        observation_size: length of an observation.
+        settings: the settings.
+    """
+
+    def __init__(self, start: Actor, parameters: int, observation_size: int, settings: Distilling) -> None:
+        jax = import_jax()
+        import jax.numpy as jnp
+        import optax
+
+        weights = {name: np.array(array, np.float32) for name, array in start.weights.items()}
+        if start.observation_size == observation_size:
+            zeros = np.zeros((len(weights[FIRST_WEIGHT]), parameters), np.float32)
+            weights[FIRST_WEIGHT] = np.concatenate([weights[FIRST_WEIGHT], zeros], axis=1)
+        self._hidden = [f"latent_pi.{2 * layer}" for layer in range(len(start.hidden_sizes))]
+        self._params, self._batch = weights, settings.batch_size
+        self._rate = settings.learning_rate
+        optimiser = optax.inject_hyperparams(optax.adam)(learning_rate=self._rate)
+        self._state = optimiser.init(self._params)
+
+        def forward(params: Any, x: Any) -> tuple[Any, Any]:
+            for name in self._hidden:
+                x = jax.nn.relu(x @ params[f"{name}.weight"].T + params[f"{name}.bias"])
+            mean, log_std = (x @ params[f"{head}.weight"].T + params[f"{head}.bias"] for head in _HEADS)
+            return jnp.tanh(mean), jnp.clip(log_std, *_LOG_STD_RANGE)
+
+        def loss(params: Any, inputs: Any, labels: Any) -> Any:
+            mode, log_std = forward(params, inputs)
+            wanted, wanted_log_std = jnp.split(labels, 2, axis=1)
+            return ((mode - wanted) ** 2).mean() + _LOG_STD_WEIGHT * ((log_std - wanted_log_std) ** 2).mean()
+
+        def update(carry: Any, batch: Any) -> tuple[Any, Any]:
+            params, state = carry
+            inputs, labels, rate = batch
+            value, gradient = jax.value_and_grad(loss)(params, inputs, labels)
+            state.hyperparams["learning_rate"] = rate
+            changes, state = optimiser.update(gradient, state)
+            return (optax.apply_updates(params, changes), state), value
+
+        self._updates = jax.jit(lambda carry, batches: jax.lax.scan(update, carry, batches))
+        self._forward = jax.jit(forward)
+
+    def learn(self, memory: _Memory, rng: np.random.Generator, updates: int, last_rate: float) -> float:
+        """Make gradient steps, with a rate that falls to ``last_rate``, and return the last mean loss."""
+        rates = np.geomspace(self._rate, last_rate, updates).astype(np.float32)
+        losses: Array = np.zeros(1)
+        for piece in np.split(rates, range(250, updates, 250)):
+            inputs, labels = memory.sample(rng, (len(piece), self._batch))
+            (self._params, self._state), losses = self._updates(
+                (self._params, self._state), (inputs, labels, piece)
+            )
+        return float(np.mean(losses))
+
+    def act(self, inputs: Array) -> Array:
+        """Return the modes, in [-1, 1], for observations and contexts."""
+        return np.asarray(self._forward(self._params, inputs.astype(np.float32))[0])
+
+    def weights(self) -> dict[str, Array]:
+        """Return the weights as float16, the precision that is stored."""
+        return {name: np.asarray(array).astype(np.float16) for name, array in self._params.items()}

@@ -1,0 +1,137 @@
+"""Training a universal policy: distilling, anchored training, drawn variants, and resuming."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imujoco_minari.policies import Actor, expert_actor, universal_policy
+from imujoco_minari.policies.experts import agent_file
+from imujoco_minari.policies.universal import FIRST_WEIGHT, UniversalPolicy
+from imujoco_minari.training import universal
+from imujoco_minari.training.agents import load_arrays
+from imujoco_minari.training.anchored import Anchored, AnchoredRun
+from imujoco_minari.training.anchored_updates import with_context
+from imujoco_minari.training.distilling import Distilling, Lesson, best_teacher, distil
+from imujoco_minari.training.plan import Plan
+from imujoco_minari.training.universal import UniversalSettings, drawn_variant, train_universal
+from imujoco_minari.variants import CATEGORIES, Variant
+from imujoco_minari.variants.context import parameters
+from imujoco_minari.variants.ranges import drawing_ranges
+
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
+
+BASE, HEAVY = Variant("hopper"), Variant.parse("hopper-massinc_200_torsogeom")
+SMALL = Distilling(rounds=2, steps=60, updates=400)
+
+
+def lesson(variant: Variant) -> Lesson:
+    return Lesson(variant, expert_actor(variant), str(variant), 1.0)
+
+
+def silent() -> Actor:
+    """An actor that always chooses 0."""
+    return Actor({name: 0 * array for name, array in expert_actor(BASE).weights.items()})
+
+
+def test_the_student_is_told_its_variant_and_acts_as_its_teacher() -> None:
+    lessons, told = [lesson(BASE), Lesson(HEAVY, silent(), "silent", 0.1)], []
+    weights = distil(lessons, expert_actor(BASE), SMALL, lambda each, _: told.append(each))
+    assert [each.number for each in told] == [1, 2]
+    again = distil(lessons, expert_actor(BASE), SMALL)
+    assert all(np.array_equal(array, weights[name]) for name, array in again.items())
+    count, rng = len(parameters("hopper")), np.random.default_rng(0)
+    floats = {name: array.astype(np.float32) for name, array in weights.items()}
+    student = UniversalPolicy("hopper", Actor(floats), np.full(count, -1.0), np.full(count, 2.0), {})
+    seen = np.array([[1.25, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]]) + 0.005 * rng.standard_normal((50, 11))
+    in_base, in_heavy = (student.fold(each).act(seen, rng) for each in (BASE, HEAVY))
+    assert np.abs(in_base - expert_actor(BASE).act(seen, rng)).mean() < 0.1
+    assert np.abs(in_heavy).mean() < 0.1
+    assert np.abs(in_base).mean() > 0.4
+
+
+def test_the_best_of_several_policies_teaches() -> None:
+    walker = Variant("walker2d")
+    still = Actor({name: 0 * array for name, array in expert_actor(walker).weights.items()})
+    found = best_teacher(walker, {"still": still, "expert": expert_actor(walker)}, 5000.0)
+    assert found.name == "expert"
+    assert found.share > 0.9
+
+
+@pytest.mark.parametrize("robot", ["hopper", "halfcheetah", "walker2d", "ant"])
+def test_drawn_variants_are_within_the_ranges_and_of_every_category(robot: str) -> None:
+    ranges, seen = drawing_ranges(robot, unlisted=True), set()
+    for seed in range(300):
+        variant = drawn_variant(robot, seed)
+        assert drawn_variant(robot, seed) == variant
+        assert 1 <= len(variant.changes) <= 3
+        for change in variant.changes:
+            low, high = ranges[f"{change.category}/{change.body}"]
+            assert low <= change.percent <= high
+            seen.add(change.category)
+    assert seen == {name.partition("/")[0] for name in ranges}
+    if robot != "ant":
+        assert seen == set(CATEGORIES)
+
+
+def test_the_critics_of_the_base_ignore_the_context_at_first() -> None:
+    path = agent_file(BASE)
+    assert path is not None
+    base = load_arrays(path)
+    contexts = np.array([[0.0, 0.5], [1.0, 0.5]], np.float32)
+    own = {
+        name: np.zeros((*array.shape[:1], array.shape[1] + 2, *array.shape[2:]), np.float32)
+        if array.ndim > 1 and array.shape[1] == 14
+        else np.zeros_like(array)
+        for name, array in base.items()
+    }
+    kernel = "qf/params/VmapCritic_0/Dense_0/kernel"
+    arrays = with_context(own, base, contexts)
+    assert np.array_equal(np.delete(arrays[kernel], [11, 12], axis=1), base[kernel])
+    assert not arrays[kernel][:, 11:13].any()
+    assert arrays["qf/batch_stats/VmapCritic_0/BatchRenorm_0/mean"][0, 11:13].tolist() == [0.5, 0.5]
+    assert (arrays["qf/params/VmapCritic_0/BatchRenorm_0/scale"][:, 11:13] == 1).all()
+
+
+def test_a_universal_policy_is_trained_killed_resumed_and_installed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(universal, "lessons", lambda *_: [lesson(BASE), lesson(HEAVY)])
+    monkeypatch.setattr(universal, "catalogue", lambda robot: (HEAVY,))
+    monkeypatch.setattr(universal, "evaluations", lambda variant, policy: {"sha256": policy.sha256})
+    anchored = Anchored(
+        steps=400, critic_updates=18, batch_size=32, buffer_size=2000, interval=200, filling=40
+    )
+    settings, plan = (
+        UniversalSettings(SMALL, anchored),
+        Plan(tmp_path / "state", tmp_path / "policies", improve=True),
+    )
+    lines: list[str] = []
+    real = AnchoredRun._save
+
+    def save_and_die(run: Any) -> None:
+        real(run)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(AnchoredRun, "_save", save_and_die)
+    with pytest.raises(KeyboardInterrupt):
+        train_universal("hopper", plan, settings, lines.append)
+    assert not (tmp_path / "policies").exists()
+    monkeypatch.setattr(AnchoredRun, "_save", real)
+    resumed: list[str] = []
+    outcome = train_universal("hopper", plan, settings, resumed.append)
+    assert outcome.created
+    assert any(line.startswith("round 2") for line in lines)
+    # It goes on where it was: nothing is distilled again, and 200 steps are left.
+    assert [line.split(" steps")[0].strip() for line in resumed] == ["400"]
+    found = universal_policy("hopper", tmp_path / "policies")
+    assert found is not None
+    assert found.sha256 == outcome.record["weights_sha256"]
+    assert outcome.record["measured"][str(HEAVY)]["sha256"] == found.fold(HEAVY).sha256
+    assert found.actor.weights[FIRST_WEIGHT].shape[1] == 11 + len(found.low)
+    assert not (tmp_path / "state" / "hopper-universal" / "distilled.safetensors").exists()
+    kept = train_universal("hopper", Plan(tmp_path / "state", tmp_path / "policies"), settings)
+    assert not kept.created
