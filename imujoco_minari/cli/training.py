@@ -217,7 +217,7 @@ _WEAK = 0.5
 
 
 def describe_trained(outcome: Trained, plan: Plan) -> tuple[str, ...]:
-    """Return what to print of a variant or generalist that was trained or left alone."""
+    """Return what to print of a variant that was trained or left alone."""
     variant = outcome.variant
     if outcome.measured:
         return "measured", f"{variant}: {_ladder(outcome.record)}"
@@ -227,8 +227,7 @@ def describe_trained(outcome: Trained, plan: Plan) -> tuple[str, ...]:
         lines = ["kept", f"{variant}: {_made(outcome.record)}; not as good: {_made(outcome.tried)}"]
     else:
         lines = ["left alone", f"{variant}: it has an expert already"]
-    # A generalist is not the expert of a variant.
-    share = share_of_base(outcome.record, plan.policies) if isinstance(variant, Variant) else None
+    share = share_of_base(outcome.record, plan.policies)
     if share is not None and share < _WEAK:
         again = "--improve --seed 1" if outcome.record["start"] == "scratch" else "--scratch --improve"
         better = f"`imujoco train {variant} {again}` may do better"

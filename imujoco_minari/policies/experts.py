@@ -162,7 +162,7 @@ def agent_file(name: Variant | str, folder: Path | None = None) -> Path | None:
     """Return the file of an agent (actor, critics, optimiser) that training can start from, or None.
 
     Args:
-        name: a base, or ``<robot>-all`` for the agent that was trained on all variants of a robot.
+        name: a base, or ``<robot>-universal`` for the critics of the universal policy.
         folder: folder to search before the package's; None means :func:`policies_folder`.
     """
     return find_policy_file(f"{name}.agent.safetensors", folder)

@@ -126,8 +126,6 @@ def record_training(
         DatasetError: if the check of the new dataset fails.
         TrainingError: if the task has a target and does not reach it.
     """
-    # The tiers have transitions of this variant only, not of milder variants.
-    task = replace(task, settings=replace(task.settings, stones=0))
     dataset_id = task.variant.dataset_id(tier)
     asked = {"seed": task.seed, "hyperparameters": task.settings.asdict()}
     if found := find_published(dataset_id, asked, force=force):

@@ -35,8 +35,9 @@ from imujoco_minari.training.agents import (
 )
 from imujoco_minari.training.anchored_updates import (
     TransitionBuffer,
+    anchored_updates,
     compiled_act,
-    compiled_updates,
+    rate_setter,
     with_context,
 )
 from imujoco_minari.training.hyperparameters import IMPROVE, hyperparameters
@@ -185,7 +186,8 @@ class AnchoredRun:
         agent = make_agent(_Spaces(*spaces), settings, self.settings.seed)
         told = with_context(agent_arrays(agent), base_agent, self._contexts)
         restore_agent(agent, replace_actor(told, dict(start)))
-        self._train, self._set_rates = compiled_updates(agent, start, self.settings.alpha)
+        self._train = anchored_updates(start, self.settings.alpha)
+        self._set_rates = rate_setter(agent)
         return agent
 
     def _set_rate(self, rate: float) -> None:

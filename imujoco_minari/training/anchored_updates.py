@@ -87,17 +87,15 @@ def with_context(
     return arrays
 
 
-def compiled_updates(agent: Any, anchor: Mapping[str, Array], alpha: float) -> tuple[Any, Any]:
-    """Return the update loop with the anchor, and a function that sets the learning rates of an agent.
+def anchored_updates(anchor: Mapping[str, Array], alpha: float) -> Any:
+    """Return SBX's update loop for CrossQ, with the anchor in the actor's loss.
 
     Args:
-        agent: the agent. Its optimisers begin anew.
         anchor: the weights of the anchor, under Stable-Baselines3's names.
-        alpha: how far the policy may go from the anchor.
+        alpha: how far the policy may go from the anchor; larger is further.
     """
     import jax
     import jax.numpy as jnp
-    import optax
     from sbx import CrossQ
 
     fixed = {name: jnp.asarray(array, jnp.float32) for name, array in anchor.items()}
@@ -137,6 +135,17 @@ def compiled_updates(agent: Any, anchor: Mapping[str, Array], alpha: float) -> t
             (value, entropy), gradient = jax.value_and_grad(loss, has_aux=True)(actor_state.params)
             return actor_state.apply_gradients(grads=gradient), qf_state, value, key, entropy
 
+    return AnchoredCrossQ._train
+
+
+def rate_setter(agent: Any) -> Any:
+    """Return a function that sets the learning rates of an agent. Its optimisers begin anew.
+
+    The rate is part of the optimisers' state, so a new one compiles nothing again.
+    """
+    import jax.numpy as jnp
+    import optax
+
     adam = optax.inject_hyperparams(optax.adam)(learning_rate=1e-3)
 
     def with_rate(state: Any, rate: float) -> Any:
@@ -152,4 +161,4 @@ def compiled_updates(agent: Any, anchor: Mapping[str, Array], alpha: float) -> t
         agent.ent_coef_state = with_rate(agent.ent_coef_state, rate)
 
     set_rates(agent, 1e-3)
-    return AnchoredCrossQ._train, set_rates
+    return set_rates

@@ -13,8 +13,8 @@ from typing import Any, get_type_hints
 from imujoco_minari.errors import CatalogueError, clipped, suggestion
 from imujoco_minari.variants import specification
 
-SCRATCH, FAR, WARM, NEAR, GENERALIST, IMPROVE = "scratch", "far", "warm", "near", "generalist", "improve"
-_MAY_BE_ZERO = {"settling_rate", "settling_steps", "stones", "approach_share", "exploration_steps"}
+SCRATCH, WARM, NEAR, IMPROVE = "scratch", "warm", "near", "improve"
+_MAY_BE_ZERO = {"settling_rate", "settling_steps", "exploration_steps", "anchor"}
 
 
 @dataclass(frozen=True)
@@ -30,8 +30,7 @@ class Hyperparameters:
         learning_rate: learning rate of actor, critics and entropy coefficient.
         settling_rate: learning rate of the last steps.
         settling_steps: number of steps at the settling rate.
-        stones: number of milder variants that the run trains in first (stepping stones).
-        approach_share: share of the run's steps that the milder variants take together.
+        anchor: how far the policy may go from the one that it began as; 0 does not hold it.
         gamma: discount factor.
         exploration_steps: steps before the first update, by random actions or by the loaded policy.
         evaluate_every: steps between two evaluations. Each evaluation is a checkpoint too.
@@ -50,8 +49,7 @@ class Hyperparameters:
     learning_rate: float
     settling_rate: float
     settling_steps: int
-    stones: int
-    approach_share: float
+    anchor: float
     gamma: float
     exploration_steps: int
     evaluate_every: int
@@ -76,9 +74,8 @@ def hyperparameters(robot: str, start: str, **changes: Any) -> Hyperparameters:
 
     Args:
         robot: name of the robot.
-        start: ``scratch``; ``warm``, from another variant's agent; ``near`` or ``far``, from an agent that
-            nearly reaches the target, or not half of it; ``generalist``, training over all variants;
-            or ``improve``, from the policy's own agent.
+        start: ``scratch``; ``warm``, from an agent that is far from the target; ``near``, from one that
+            nearly reaches it; or ``improve``, from the policy's own agent.
         **changes: values that replace those of the file.
 
     Raises:

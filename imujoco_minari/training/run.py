@@ -27,6 +27,7 @@ from imujoco_minari.training.agents import (
     ALGORITHM,
     actor_arrays,
     actor_of,
+    agent_actor,
     agent_arrays,
     forget_compiled,
     load_arrays,
@@ -34,9 +35,10 @@ from imujoco_minari.training.agents import (
     restore_agent,
     save_arrays,
 )
+from imujoco_minari.training.anchored_updates import anchored_updates
 from imujoco_minari.training.hyperparameters import SCRATCH
 from imujoco_minari.training.task import Task
-from imujoco_minari.variants import BASE, Variant
+from imujoco_minari.variants import BASE
 
 # Base seeds of the evaluations that rank and choose. They differ from the default seed of datasets, 0.
 RANKING_SEED, CHOOSING_SEED = 1_000_001, 1_000_002
@@ -94,13 +96,10 @@ class SeededResets(gym.Wrapper[Any, Any, Any, Any]):
         super().__init__(env)
         self._seed = seed
         self.episodes = 0
-        self.variant: Variant | None = None
 
     def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
-        """Reset with the next seed, in ``variant`` if it is set."""
+        """Reset with the next seed."""
         kwargs["seed"] = episode_seed(self._seed, self.episodes)
-        if self.variant is not None:
-            kwargs["options"] = {"variant": str(self.variant)}
         self.episodes += 1
         return self.env.reset(**kwargs)
 
@@ -125,8 +124,8 @@ class Run:
         self.task, self.folder, self.progress = task, folder, Progress()
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "ladder").mkdir(exist_ok=True)
-        self._env = SeededResets(wrap(task.environment(task.among or task.path)), task.seed)
-        self._evaluation_env = task.environment(task.among)
+        self._env = SeededResets(wrap(task.environment()), task.seed)
+        self._evaluation_env = task.environment()
         self._device = device
         self._checkpoint_file = folder / _CHECKPOINT_NAME
         arrays = load_arrays(self._checkpoint_file) if self._checkpoint_file.is_file() else {}
@@ -137,6 +136,9 @@ class Run:
             self._load_checkpoint(arrays)
         elif task.agent:
             restore_agent(self._agent, task.agent)
+        if task.agent and task.settings.anchor:
+            # What the run began as holds it, also after it was resumed.
+            self._agent._train = anchored_updates(agent_actor(task.agent), task.settings.anchor)
 
     def train(self, on_interval: OnInterval = do_nothing) -> dict[str, Any]:
         """Train until the target or the last step and return the record of the best actor.
@@ -176,6 +178,8 @@ class Run:
         """Replace the agent by a copy with the present learning rate, which an agent cannot change."""
         before, self._agent = self._agent, self._new_agent()
         restore_agent(self._agent, agent_arrays(before))
+        if "_train" in vars(before):
+            self._agent._train = before._train
         self._agent.replay_buffer = before.replay_buffer
         self._agent.num_timesteps, self._agent._n_updates = before.num_timesteps, before._n_updates
 
@@ -193,7 +197,6 @@ class Run:
         agent.learning_starts = settings.exploration_steps if self.task.start == SCRATCH else 0
         agent.gradient_steps = 0 if exploring else settings.updates_per_call
         agent._last_obs = None
-        self._env.variant = self.task.place(progress.steps)
         steps = settings.evaluate_every
         if exploring:
             steps = min(steps, settings.exploration_steps - progress.steps)

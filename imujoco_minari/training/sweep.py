@@ -20,11 +20,7 @@ from imujoco_minari.errors import ImujocoError, JobError, StorageError, Training
 from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies import own_record
 from imujoco_minari.policies.rungs import mean_return
-from imujoco_minari.storage.files import write_json
-from imujoco_minari.training.agents import load_arrays, save_arrays
 from imujoco_minari.training.hyperparameters import (
-    FAR,
-    GENERALIST,
     IMPROVE,
     NEAR,
     SCRATCH,
@@ -34,25 +30,23 @@ from imujoco_minari.training.hyperparameters import (
 from imujoco_minari.training.installing import install, is_better, renew_ladder, with_history
 from imujoco_minari.training.plan import Plan
 from imujoco_minari.training.run import OnInterval, Run, do_nothing
-from imujoco_minari.training.starts import base_start, best_start, generalist_name, generalist_record
+from imujoco_minari.training.starts import best_start
 from imujoco_minari.training.task import Task
-from imujoco_minari.variants import BASE, Variant, catalogue
+from imujoco_minari.variants import BASE, Variant
 
 # A variant's run ends when its actor's score reaches this share of the base expert's mean return. The score
 # counts the lowest return too, so it is a few percent below the mean.
 TARGET_SHARE = 0.96
 # A start with at least this share of the target trains at a smaller learning rate.
 NEAR_SHARE = 0.9
-# A start with less than this share of the target trains in milder variants first.
-FAR_SHARE = 0.5
 
 
 @dataclass(frozen=True)
 class Trained:
-    """The outcome of training one variant or generalist.
+    """The outcome of training one variant or universal policy.
 
     Attributes:
-        variant: the variant, or the generalist's name.
+        variant: the variant, or the universal policy's name.
         record: record of the present policy.
         created: whether this call trained that policy.
         measured: whether this call measured the ladder of that policy again.
@@ -113,48 +107,13 @@ def _finish_run(work: Task, folder: Path, plan: Plan, on_interval: OnInterval = 
         return run.train(on_interval)
 
 
-def train_generalist(robot: str, plan: Plan) -> Trained:
-    """Train one agent over the base and all variants of a robot. Variants may start from it.
-
-    Args:
-        robot: name of the robot.
-        plan: the settings.
-
-    Raises:
-        PolicyNotFoundError: if the base's agent does not exist.
-        TrainingError: if another process trains the generalist.
-    """
-    name = generalist_name(robot)
-    folder, target = plan.state / name, plan.policies
-    with lock_folder(folder):
-        if done := generalist_record(robot, plan.policies):
-            return Trained(name, done)
-        base = Variant(robot)
-        start = base_start(base, plan.policies)
-        whole = Task(
-            base,
-            hyperparameters(robot, GENERALIST, **plan.changes),
-            plan.seed,
-            start=start.name,
-            agent=start.agent,
-            start_sha256=start.sha256,
-            among=(base, *catalogue(robot)),
-        )
-        record = _finish_run(whole, folder, plan) | {"variant": name}
-        write_json(target / f"{name}.agent.json", record)
-        # The agent is written last. Its presence means that the generalist is complete.
-        save_arrays(target / f"{name}.agent.safetensors", load_arrays(folder / "best-agent.safetensors"))
-        shutil.rmtree(folder)
-    return Trained(name, record, created=True)
-
-
 def train_all(
     variants: Sequence[Variant], plan: Plan, *, jobs: int = 1, backend: str | None = None
 ) -> Iterator[Trained]:
     """Train many variants and yield each outcome when it is ready, failures included.
 
-    Bases are trained first, because variants start from them. The generalist follows for each robot whose
-    variants are all to be trained. A run that is lost with its worker resumes from its last checkpoint.
+    Bases are trained first, because variants start from them. A run that is lost with its worker resumes
+    from its last checkpoint.
 
     Args:
         variants: the variants.
@@ -173,12 +132,12 @@ def train_all(
             yield Trained(group[number], error=str(outcome)) if isinstance(outcome, JobError) else outcome
 
 
-def _train_or_report(variant: Variant | str, plan: Plan) -> Trained:
-    """Train a variant, or the generalist of the robot with this name; return errors as an outcome."""
+def _train_or_report(variant: Variant, plan: Plan) -> Trained:
+    """Train a variant; return errors as an outcome."""
     # A process of a pool trains several variants. Set its nice value once, do not add to it each time.
     os.nice(max(0, plan.nice - max(0, os.nice(0))))
     try:
-        return train(variant, plan) if isinstance(variant, Variant) else train_generalist(variant, plan)
+        return train(variant, plan)
     except ImujocoError as error:
         return Trained(variant, error=str(error), missing=error.missing)
 
@@ -194,11 +153,12 @@ def task(variant: Variant, plan: Plan) -> Task:
     if plan.scratch or (variant.category == BASE and not improving):
         settings = hyperparameters(variant.robot, SCRATCH, **plan.changes)
         return Task(variant, settings, plan.seed, target=target)
-    start = best_start(variant, plan.policies, TARGET_SHARE)
+    start = best_start(variant, plan.policies)
     needed_score = TARGET_SHARE * mean_return(own_record(variant.base, plan.policies))
     if plan.target is None and not improving:
         target = needed_score
-    kind = IMPROVE if variant.category == BASE else _start_kind(start.score / needed_score)
+    near = start.score >= NEAR_SHARE * needed_score
+    kind = IMPROVE if variant.category == BASE else NEAR if near else WARM
     settings = hyperparameters(variant.robot, kind, **plan.changes)
     return Task(
         variant,
@@ -211,28 +171,14 @@ def task(variant: Variant, plan: Plan) -> Task:
     )
 
 
-def _start_kind(share: float) -> str:
-    """Return the kind of a start that reaches this share of the target."""
-    if share >= NEAR_SHARE:
-        return NEAR
-    return WARM if share >= FAR_SHARE else FAR
-
-
-def _training_groups(variants: Sequence[Variant], plan: Plan) -> Iterator[list[Variant | str]]:
-    """Yield groups in order of training: bases, robots whose generalist is needed, other variants."""
+def _training_groups(variants: Sequence[Variant], plan: Plan) -> Iterator[list[Variant]]:
+    """Yield groups in order of training: bases, also those that others start from, then other variants."""
     first = [variant for variant in variants if variant.category == BASE]
     rest = [variant for variant in variants if variant.category != BASE]
-    general: list[str] = []
     if not plan.scratch:
         needed = dict.fromkeys(variant.base for variant in rest)
         first += [base for base in needed if base not in first and not own_record(base, plan.policies)]
-        general = [
-            base.robot
-            for base in needed
-            if set(catalogue(base.robot)) <= set(rest) and not generalist_record(base.robot, plan.policies)
-        ]
-    groups: tuple[Sequence[Variant | str], ...] = (first, general, rest)
-    yield from (list(group) for group in groups if group)
+    yield from (group for group in (first, rest) if group)
 
 
 @contextmanager

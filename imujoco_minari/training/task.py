@@ -7,7 +7,7 @@ from typing import Any
 
 import gymnasium as gym
 
-from imujoco_minari.envs.registration import collection_spec, make
+from imujoco_minari.envs.registration import make
 from imujoco_minari.policies import Array
 from imujoco_minari.training.hyperparameters import SCRATCH, Hyperparameters
 from imujoco_minari.variants import Variant
@@ -25,7 +25,6 @@ class Task:
         agent: the arrays of that agent; empty from scratch.
         start_sha256: digest of that agent's actor, from its record.
         target: the run stops when an actor's evaluation over the deciding episodes has this score.
-        among: if given, train and evaluate in these variants instead, one drawn for each episode.
         purpose: the reason for a run that trains no expert, for messages; empty for an expert's run.
     """
 
@@ -36,25 +35,8 @@ class Task:
     agent: dict[str, Array] = field(default_factory=dict, repr=False)
     start_sha256: str = ""
     target: float = float("inf")
-    among: tuple[Variant, ...] = ()
     purpose: str = ""
 
-    @property
-    def path(self) -> tuple[Variant, ...]:
-        """The milder variants and the variant itself, in order of training; empty without milder ones."""
-        stones = self.variant.milder(self.settings.stones)
-        return (*stones, self.variant) if stones else ()
-
-    def place(self, steps: int) -> Variant | None:
-        """Return the variant of the path to train in after ``steps`` steps, or None if the path is empty."""
-        path = self.path
-        if not path:
-            return None
-        stones, approach = len(path) - 1, round(self.settings.approach_share * self.settings.max_steps)
-        return path[min(stones, stones * steps // max(1, approach))]
-
-    def environment(self, among: tuple[Variant, ...] = ()) -> gym.Env[Any, Any]:
-        """Return a new environment of the variant, or of all variants in ``among``."""
-        if among:
-            return gym.make(collection_spec(f"{self.variant.robot}-all", among), disable_env_checker=True)
+    def environment(self) -> gym.Env[Any, Any]:
+        """Return a new environment of the variant."""
         return make(self.variant, disable_env_checker=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from typing import Any, ClassVar
 
@@ -124,29 +124,6 @@ class Variant:
     def base(self) -> Variant:
         """The unchanged robot of this variant."""
         return Variant(self.robot)
-
-    def milder(self, count: int) -> tuple[Variant, ...]:
-        """Return variants between the base and this one, in even steps of percent, the mildest first.
-
-        Args:
-            count: how many; fewer where whole percents do not suffice, none for the base robot.
-        """
-        steps = [
-            tuple(round(change.percent * step / (count + 1)) for change in self.changes)
-            for step in range(1, count + 1)
-        ]
-        whole = tuple(change.percent for change in self.changes)
-        between = dict.fromkeys(step for step in steps if any(step) and step != whole)
-        return tuple(
-            replace(
-                self,
-                changes=tuple(
-                    replace(change, percent=percent)
-                    for change, percent in zip(self.changes, percents, strict=True)
-                ),
-            )
-            for percents in between
-        )
 
     @property
     def mjcf_names(self) -> tuple[str, ...]:

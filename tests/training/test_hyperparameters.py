@@ -26,15 +26,17 @@ def test_hyperparameters_are_layered_and_checked(robot: str) -> None:
 
 
 def test_a_text_sets_a_value_of_the_right_type() -> None:
-    changes = hyperparameter_changes(["batch_size=256", "learning_rate=3e-4", "stones=0", "batch_size=64"])
-    assert changes == {"batch_size": 64, "learning_rate": 3e-4, "stones": 0}
+    changes = hyperparameter_changes(
+        ["batch_size=256", "learning_rate=3e-4", "exploration_steps=0", "batch_size=64"]
+    )
+    assert changes == {"batch_size": 64, "learning_rate": 3e-4, "exploration_steps": 0}
     assert [type(value) for value in changes.values()] == [int, float, int]
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("batch_size", r"cannot set 'batch_size': write NAME=VALUE; names: approach_share, batch_size, "),
+        ("batch_size", r"cannot set 'batch_size': write NAME=VALUE; names: anchor, batch_size, "),
         ("batch_sise=3", r"cannot set 'batch_sise=3' \(did you mean 'batch_size'\?\): write NAME=VALUE"),
         ("algorithm=TQC", "cannot set 'algorithm=TQC'"),
         ("batch_size=", "batch_size is a whole number above 0"),
@@ -42,7 +44,7 @@ def test_a_text_sets_a_value_of_the_right_type() -> None:
         ("evaluate_every=0", "evaluate_every is a whole number above 0"),
         ("gamma=nan", "gamma is a number above 0"),
         ("learning_rate=1e999", "learning_rate is a number above 0"),
-        ("stones=-1", "stones is a whole number of at least 0"),
+        ("exploration_steps=-1", "exploration_steps is a whole number of at least 0"),
     ],
 )
 def test_a_bad_text_is_refused_in_one_line(text: str, message: str) -> None:

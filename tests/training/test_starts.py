@@ -1,93 +1,103 @@
-"""The start of a variant's training. Each actor here scores what its bias says."""
+"""The start of a variant's training: folded actor and critics, or the base's agent where it scores higher."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from imujoco_minari.policies import Actor, Array
+from imujoco_minari.errors import PolicyNotFoundError
+from imujoco_minari.policies import Array, agent_file, expert_record, universal_policy
 from imujoco_minari.policies.evaluation import Evaluation
+from imujoco_minari.policies.experts import FOLDED
 from imujoco_minari.training import starts
-from imujoco_minari.training.agents import agent_actor, save_arrays
-from imujoco_minari.training.starts import best_start
-from imujoco_minari.variants import Variant
+from imujoco_minari.training.agents import actor_of, agent_actor, load_arrays
+from imujoco_minari.training.anchored_updates import with_context
+from imujoco_minari.training.starts import best_start, fold_critics
+from imujoco_minari.variants import Variant, specification
 
-VARIANT = Variant.parse("hopper-massinc_37_torsogeom")
-LAYERS = {"Dense_0": (11, 4), "Dense_1": (4, 4), "Dense_2": (4, 3), "Dense_3": (4, 3)}
-
-
-def agent(value: float, width: int = 4) -> dict[str, Array]:
-    arrays: dict[str, Array] = {"qf/params/kernel": np.full((2, 2), value)}
-    for name, shape in LAYERS.items():
-        sizes = tuple(width if size == 4 else size for size in shape)
-        arrays[f"actor/params/{name}/kernel"] = np.full(sizes, value, np.float32)
-        arrays[f"actor/params/{name}/bias"] = np.full(sizes[1], value, np.float32)
-    return arrays
+VARIANT = Variant.parse("hopper-massinc_37_torsogeom-jointdec_20_legjoint")
+LAYERS = ("BatchRenorm_0", "Dense_0", "BatchRenorm_1", "Dense_1", "BatchRenorm_2", "Dense_2")
 
 
-def write_expert(folder: Path, name: str, value: float, width: int = 4) -> None:
-    save_arrays(folder / f"{name}.safetensors", agent_actor(agent(value, width)))
-    (folder / f"{name}.json").write_text(
-        json.dumps({"weights_sha256": f"digest of {name}", "evaluation": {"return_mean": 100.0}})
-    )
+def critic(arrays: dict[str, Array], x: Array) -> Array:
+    """The first critic written out in float64, with its running statistics."""
+    for name in LAYERS:
+        layer = {
+            key.rpartition("/")[2]: np.float64(array[0])
+            for key, array in arrays.items()
+            if f"VmapCritic_0/{name}/" in key and key.startswith(("qf/params", "qf/batch_stats"))
+        }
+        if "kernel" in layer:
+            x = x @ layer["kernel"] + layer["bias"]
+            x = np.maximum(x, 0) if name != "Dense_2" else x
+        else:
+            x = (x - layer["mean"]) / np.sqrt(layer["var"] + 1e-3) * layer["scale"] + layer["bias"]
+    return x
 
 
-@pytest.fixture
-def policies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, unshipped: None) -> Path:
-    """A folder with a base whose agent scores 40, and a generalist that scores 50."""
+def told_critics(rng: np.random.Generator) -> dict[str, Array]:
+    """Critics of Hopper that are told the context: the base's, with random weights for the context."""
+    path, universal = agent_file(Variant("hopper")), universal_policy("hopper")
+    assert path is not None
+    assert universal is not None
+    base, count = load_arrays(path), len(universal.low)
+    own = {
+        name: np.zeros((array.shape[0], array.shape[1] + count, *array.shape[2:]), np.float32)
+        if array.ndim > 1 and array.shape[1] == 14
+        else np.zeros_like(array)
+        for name, array in base.items()
+    }
+    arrays = with_context(own, base, rng.normal(size=(9, count)).astype(np.float32))
+    return {
+        name: array + rng.normal(size=array.shape).astype(np.float32) * 0.1
+        if name.startswith(("qf/params", "qf/batch_stats")) and not name.endswith(("var", "steps", "max"))
+        else array
+        for name, array in arrays.items()
+    }
 
-    def evaluate(env: object, actor: Actor, *, episodes: int, seed: int) -> Evaluation:
-        value = float(actor.weights["mu.bias"][0])
-        # This one is lucky in its first episode.
-        value = 20.0 if value == 99.0 and episodes > 1 else value
-        return Evaluation(np.full(episodes, value), np.ones(episodes), ("",) * episodes, seed, True)
+
+def test_folded_critics_judge_as_those_that_are_told() -> None:
+    rng, universal = np.random.default_rng(0), universal_policy("hopper")
+    assert universal is not None
+    arrays = told_critics(rng)
+    folded = fold_critics(universal, VARIANT, arrays)
+    seen, actions = rng.normal(size=(20, 11)), rng.uniform(-1, 1, size=(20, 3))
+    told = np.tile(universal.context(VARIANT), (20, 1))
+    whole = critic(arrays, np.concatenate([seen, told, actions], axis=1))
+    assert critic(folded, np.concatenate([seen, actions], axis=1)) == pytest.approx(whole, rel=1e-4, abs=1e-3)
+    base = load_arrays(agent_file(Variant("hopper")) or Path())
+    assert {name: array.shape for name, array in folded.items()} == {
+        name: array.shape for name, array in base.items() if name.startswith(("qf/", "entropy/"))
+    }
+
+
+@pytest.mark.parametrize(("value", "found"), [(50.0, FOLDED), (30.0, "hopper-base")])
+def test_the_better_one_is_the_start(value: float, found: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    universal = universal_policy("hopper")
+    assert universal is not None
+    folded = universal.fold(VARIANT).sha256
+
+    def evaluate(env: object, actor: object, *, episodes: int, seed: int) -> Evaluation:
+        weights = actor.weights  # type: ignore[attr-defined]
+        is_folded = np.allclose(
+            weights["latent_pi.0.bias"], universal.fold(VARIANT).weights["latent_pi.0.bias"], atol=1e-2
+        )
+        return Evaluation(np.full(episodes, value if is_folded else 40.0), np.ones(episodes), (), seed, True)
 
     monkeypatch.setattr(starts, "evaluate", evaluate)
-    write_expert(tmp_path, "hopper-base", 40.0)
-    save_arrays(tmp_path / "hopper-base.agent.safetensors", agent(40.0))
-    save_arrays(tmp_path / "hopper-all.agent.safetensors", agent(50.0))
-    (tmp_path / "hopper-all.agent.json").write_text('{"weights_sha256": "digest of hopper-all"}')
-    return tmp_path
+    start = best_start(VARIANT, Path("nowhere"))
+    assert (start.name, start.score) == (found, max(value, 40.0))
+    if found == FOLDED:
+        assert start.sha256 == expert_record(VARIANT)["universal_sha256"]
+        assert folded == expert_record(VARIANT)["weights_sha256"]
+    else:
+        assert start.sha256 == expert_record(Variant("hopper"))["weights_sha256"]
+    actor = actor_of(agent_actor(start.agent), "hopper")
+    assert actor.observation_size == specification("hopper").observation_size
 
 
-LIGHT, LIGHTER = "hopper-massdec_25_leggeom", "hopper-massdec_50_leggeom"
-
-
-@pytest.mark.parametrize(
-    ("experts", "target_share", "found"),
-    [
-        ({}, 0.9, "hopper-all"),
-        # The agent has critics, so a somewhat better expert does not replace it.
-        ({LIGHT: 60.0}, 0.9, "hopper-all"),
-        ({LIGHT: 70.0}, 0.9, LIGHT),
-        ({LIGHT: 56.0}, 0.55, LIGHT),
-        # The agent reaches the target.
-        ({LIGHT: 70.0}, 0.45, "hopper-all"),
-        ({LIGHT: 70.0, LIGHTER: 99.0}, 0.9, LIGHT),
-        # Neither its own expert nor another robot's is tried.
-        ({str(VARIANT): 80.0, "walker2d-massdec_25_leggeom": 80.0}, 0.9, "hopper-all"),
-    ],
-)
-def test_an_expert_of_another_variant_is_the_start_if_it_is_far_better(
-    experts: dict[str, float], target_share: float, found: str, policies: Path
-) -> None:
-    for name, value in experts.items():
-        write_expert(policies, name, value)
-    start = best_start(VARIANT, policies, target_share)
-    assert start.name == found
-    assert start.sha256 == f"digest of {found}"
-    value = experts.get(found, 50.0)
-    assert start.score == value
-    assert {name: array.tolist() for name, array in agent_actor(start.agent).items()} == {
-        name: array.tolist() for name, array in agent_actor(agent(value)).items()
-    }
-    # The critics are the agent's.
-    assert start.agent["qf/params/kernel"].tolist() == agent(50.0)["qf/params/kernel"].tolist()
-
-
-def test_an_expert_of_another_shape_is_no_start(policies: Path) -> None:
-    write_expert(policies, LIGHT, 80.0, width=8)
-    assert best_start(VARIANT, policies, 0.9).name == "hopper-all"
+def test_a_robot_without_a_universal_policy_starts_from_its_base(unshipped: None, tmp_path: Path) -> None:
+    with pytest.raises(PolicyNotFoundError, match="`imujoco train hopper-base` first"):
+        best_start(VARIANT, tmp_path)

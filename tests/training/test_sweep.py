@@ -8,13 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import minari
 import numpy as np
 import pytest
 from tiny_training import SETTLING, TINY
 
-from imujoco_minari.cli.app import run as run_command
 from imujoco_minari.cli.training import describe_trained
 from imujoco_minari.envs.registration import make
 from imujoco_minari.errors import PolicyError, PolicyNotFoundError, TrainingError
@@ -23,6 +21,7 @@ from imujoco_minari.policies.evaluation import evaluate
 from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.training import ladder, sweep
 from imujoco_minari.training.agents import (
+    actor_arrays,
     actor_of,
     agent_actor,
     agent_arrays,
@@ -32,11 +31,10 @@ from imujoco_minari.training.agents import (
     restore_agent,
     save_arrays,
 )
-from imujoco_minari.training.hyperparameters import FAR, SCRATCH, WARM, hyperparameters
+from imujoco_minari.training.hyperparameters import SCRATCH, WARM, hyperparameters
 from imujoco_minari.training.ladder import Ladder
 from imujoco_minari.training.plan import Plan
 from imujoco_minari.training.run import CHOOSING_SEED, CONFIRMING_SEED, Run
-from imujoco_minari.training.starts import START_SEED, best_start
 from imujoco_minari.training.sweep import Trained, train, train_all
 from imujoco_minari.training.task import Task
 from imujoco_minari.variants import Variant
@@ -49,9 +47,6 @@ pytestmark = [
     pytest.mark.usefixtures("kept_compiled"),
 ]
 
-# Two milder variants for 200 of the 350 steps, which end in the second and third intervals.
-STONES = SETTLING | {"stones": 2, "approach_share": 200 / 350}
-
 
 @pytest.fixture
 def quick_ladder(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -62,7 +57,7 @@ def quick_ladder(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_killed_run_ends_in_the_weights_of_one_that_was_not(tmp_path: Path) -> None:
-    task = Task(LIGHT_LEG, hyperparameters("hopper", FAR, **STONES))
+    task = Task(LIGHT_LEG, hyperparameters("hopper", WARM, **SETTLING))
     whole = Run(task, tmp_path / "whole")
     record = whole.train()
     broken = Run(task, tmp_path / "broken")
@@ -80,11 +75,7 @@ def test_a_killed_run_ends_in_the_weights_of_one_that_was_not(tmp_path: Path) ->
     assert again["evaluation"] == record["evaluation"]
 
 
-def test_a_start_that_reaches_the_target_is_the_expert(
-    tmp_path: Path, quick_ladder: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # The tests of starts try the experts of other variants, which are dozens.
-    monkeypatch.setattr("imujoco_minari.training.starts._expert_start", lambda variant, best, *_: best)
+def test_a_start_that_reaches_the_target_is_the_expert(tmp_path: Path, quick_ladder: None) -> None:
     unlisted = Variant.parse("hopper-massdec_26_leggeom")
     (outcome,) = train_all([unlisted], Plan(tmp_path / "state", changes=TINY, target=-1e9))
     assert (outcome.created, outcome.error) == (True, "")
@@ -141,55 +132,6 @@ def test_a_variant_is_trained_from_its_base_and_published(tmp_path: Path, unship
     assert metadata["ref_min_score"] == record["random"]["return_mean"]
 
 
-def test_a_whole_robot_gets_a_generalist_to_start_from(
-    tmp_path: Path,
-    unshipped: None,
-    quick_ladder: None,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    variants = (LIGHT_LEG, Variant.parse("hopper-massinc_200_torsogeom"))
-    monkeypatch.setattr(sweep, "catalogue", lambda robot: variants)
-    plan = Plan(tmp_path / "state", changes=TINY, target=1e9)
-    outcomes = list(train_all(variants, plan))
-    assert [str(outcome.variant) for outcome in outcomes] == [
-        "hopper-base",
-        "hopper-all",
-        *map(str, variants),
-    ]
-    assert [outcome.error for outcome in outcomes] == [""] * 4
-    generalist = outcomes[1].record
-    assert generalist["start"] == "hopper-base"
-    assert generalist["start_sha256"] == outcomes[0].record["weights_sha256"]
-    agent = load_arrays(policies_folder() / "hopper-all.agent.safetensors")
-    assert actor_of(agent_actor(agent), "hopper").sha256 == generalist["weights_sha256"]
-    # A generalist is an expert of nothing.
-    assert set(expert_variants()) >= {BASE, *variants}
-    shas = {"hopper-base": outcomes[0].record["weights_sha256"], "hopper-all": generalist["weights_sha256"]}
-    agents = {name: load_arrays(policies_folder() / f"{name}.agent.safetensors") for name in shas}
-    for variant in variants:
-        scores = {
-            name: evaluate(
-                make(variant), actor_of(agent_actor(agents[name]), "hopper"), episodes=5, seed=START_SEED
-            )
-            for name in shas
-        }
-        better = max(shas, key=lambda name: scores[name].return_mean + scores[name].return_min)
-        start = best_start(variant, policies_folder())
-        assert start.name == expert_record(variant)["start"] == better
-        assert start.sha256 == expert_record(variant)["start_sha256"] == shas[better]
-    assert run_command(["policies", "--summary"]) == 0
-    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
-    shares = [
-        expert_record(v)["evaluation"]["return_mean"] / expert_record(BASE)["evaluation"]["return_mean"]
-        for v in variants
-    ]
-    (mass,) = (line for line in lines if line[:2] == ["hopper", "mass"])
-    assert mass[2:6] == ["2", "20", f"{np.mean(shares):.2f}", f"{min(shares):.2f}"]
-    # All is there: nothing is trained again.
-    assert [outcome.created for outcome in train_all(variants, plan)] == [False, False]
-
-
 def test_an_agent_is_restored_whole_or_refused_on_a_device_that_is_there(tmp_path: Path) -> None:
     settings = hyperparameters("hopper", WARM, **TINY)
     agent = make_agent(make(BASE), settings, seed=1)
@@ -226,32 +168,15 @@ def test_a_variant_without_a_base_agent_says_what_to_train_first(tmp_path: Path,
         train(LIGHT_LEG, Plan(tmp_path / "state"))
 
 
-def test_a_run_goes_by_way_of_milder_variants_and_settles_in_its_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_settles_and_frees_its_agent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("imujoco_minari.training.run.forget_compiled", forget_compiled)
-    changes = STONES | {"max_steps": 450, "approach_share": 4 / 9, "settling_rate": 0.0}
-    task = Task(LIGHT_LEG, hyperparameters("hopper", FAR, **changes))
-    trained_in: list[str] = []
-
-    class Watch(gym.Wrapper[Any, Any, Any, Any]):
-        def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
-            observation, info = super().reset(**kwargs)
-            trained_in.append(info["variant"])
-            return observation, info
-
-    run = Run(task, tmp_path, Watch)
+    changes = SETTLING | {"max_steps": 450, "settling_rate": 0.0}
+    run = Run(Task(LIGHT_LEG, hyperparameters("hopper", WARM, **changes)), tmp_path)
     steps = [0]
-    begun = [0]
     while not run.finished:
         run.train_interval()
         steps.append(run.progress.steps)
-        begun.append(len(trained_in))
     assert steps == [0, 100, 160, 260, 360, 460]
-    # Each interval begins with a reset; it begins in the variant that its first step is due in.
-    firsts = [trained_in[number] for number in begun[:-1]]
-    assert firsts == [f"hopper-massdec_{percent}_leggeom" for percent in (8, 17, 17, 25, 25)]
-    assert run._evaluation_env.unwrapped.variant == LIGHT_LEG
     learning, settled, after = (
         load_arrays(tmp_path / "ladder" / f"{steps}.safetensors") for steps in (260, 360, 460)
     )
@@ -261,6 +186,23 @@ def test_a_run_goes_by_way_of_milder_variants_and_settles_in_its_own(
     agent = weakref.ref(run._agent)
     run.close()
     assert agent() is None
+
+
+def test_a_near_start_is_held_to_what_it_began_as(tmp_path: Path) -> None:
+    task = sweep.task(LIGHT_LEG, Plan(tmp_path, tmp_path, changes=TINY))
+    seen = np.array([1.25, *[0.0] * 10]) + 0.1 * np.random.default_rng(0).normal(size=(200, 11))
+    begun = actor_of(agent_actor(task.agent), "hopper").act(seen, np.random.default_rng(0))
+
+    def moved(alpha: float) -> float:
+        settings = replace(task.settings, anchor=alpha, exploration_steps=60, learning_rate=1e-3)
+        run = Run(replace(task, settings=settings, target=1e9), tmp_path / str(alpha))
+        for _ in range(4):
+            run.train_interval()
+        actor = actor_of(actor_arrays(run._agent), "hopper")
+        run.close()
+        return float(np.abs(actor.act(seen, np.random.default_rng(0)) - begun).mean())
+
+    assert 0 < moved(0.001) < 0.8 * moved(0.0)
 
 
 def test_an_actor_that_seems_the_best_is_looked_at_longer(
@@ -307,19 +249,17 @@ def test_a_score_below_zero_is_improved(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize(
-    ("share", "rate", "stones"),
-    [(-0.1, 1e-3, 4), (0.4, 1e-3, 4), (0.5, 1e-3, 0), (0.95, 3e-4, 0)],
+    ("share", "rate", "anchor"), [(-0.1, 1e-3, 0), (0.5, 1e-3, 0), (0.89, 1e-3, 0), (0.95, 3e-4, 20)]
 )
-def test_a_far_start_takes_stepping_stones_and_a_near_one_smaller_steps(
-    share: float, rate: float, stones: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_near_start_takes_smaller_steps_and_is_held(
+    share: float, rate: float, anchor: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked = 0.96 * expert_record(BASE)["evaluation"]["return_mean"]
     start = replace(sweep.best_start(LIGHT_LEG, tmp_path), score=share * asked)
-    monkeypatch.setattr(sweep, "best_start", lambda variant, policies, target_share: start)
+    monkeypatch.setattr(sweep, "best_start", lambda variant, policies: start)
     task = sweep.task(LIGHT_LEG, Plan(tmp_path))
     assert task.target == pytest.approx(asked)
-    assert task.settings.stones == stones
-    assert len(task.path) == (stones + 1 if stones else 0)
+    assert task.settings.anchor == anchor
     assert task.settings.rate(0) == task.settings.learning_rate == rate
     assert task.settings.rate(task.settings.max_steps) == task.settings.settling_rate == 1e-4
 
@@ -327,9 +267,9 @@ def test_a_far_start_takes_stepping_stones_and_a_near_one_smaller_steps(
 @pytest.mark.parametrize(
     ("share", "start", "command"),
     [
-        (0.49, "hopper-all", "imujoco train hopper-massdec_25_leggeom --scratch --improve"),
+        (0.49, "universal policy", "imujoco train hopper-massdec_25_leggeom --scratch --improve"),
         (0.49, "scratch", "imujoco train hopper-massdec_25_leggeom --improve --seed 1"),
-        (0.51, "hopper-all", ""),
+        (0.51, "universal policy", ""),
     ],
 )
 def test_a_weak_outcome_says_what_may_do_better(
@@ -341,9 +281,6 @@ def test_a_weak_outcome_says_what_may_do_better(
     for outcome in (Trained(LIGHT_LEG, record, created=True), Trained(LIGHT_LEG, record, tried=record)):
         printed = " ".join(describe_trained(outcome, Plan(tmp_path)))
         assert (command in printed) if command else ("may do better" not in printed)
-    whole = describe_trained(Trained("hopper-all", record, created=True), Plan(tmp_path))
-    assert whole[0] == "trained"
-    assert "may do better" not in " ".join(whole)
 
 
 def test_a_broken_record_is_named(home: Path) -> None:
