@@ -34,6 +34,7 @@ from imujoco_minari.training.agents import (
     save_arrays,
 )
 from imujoco_minari.training.anchored_updates import (
+    CRITICS,
     TransitionBuffer,
     anchored_updates,
     compiled_act,
@@ -110,7 +111,7 @@ class AnchoredRun:
         wanted: listed variants of one robot, and the return that counts as 1 in each.
         draw: a seed -> a variant to train in, beside the listed ones.
         start: the weights of a universal policy, under Stable-Baselines3's names: start and anchor.
-        base_agent: the arrays of the base's agent, whose critics the critics begin as.
+        begun_as: the arrays of the agent whose critics the critics begin as: the base's, or one that is told.
         settings: the settings.
         folder: state of this run alone.
     """
@@ -120,7 +121,7 @@ class AnchoredRun:
         wanted: Mapping[Variant, float],
         draw: Callable[[int], Variant],
         start: Mapping[str, Array],
-        base_agent: Mapping[str, Array],
+        begun_as: Mapping[str, Array],
         settings: Anchored,
         folder: Path,
     ) -> None:
@@ -131,7 +132,7 @@ class AnchoredRun:
         folder.mkdir(parents=True, exist_ok=True)
         self._rng = np.random.default_rng(settings.seed)
         self._contexts = np.array([whole_context(variant) for variant in self._listed], np.float32)
-        self._agent = self._new_agent(start, base_agent)
+        self._agent = self._new_agent(start, begun_as)
         self._average = {name: np.asarray(array, np.float32) for name, array in start.items()}
         checkpoint = folder / "checkpoint.safetensors"
         self._resumed = checkpoint.is_file()
@@ -177,14 +178,15 @@ class AnchoredRun:
             self._save()
             on_interval(told)
 
-    def _new_agent(self, start: Mapping[str, Array], base_agent: Mapping[str, Array]) -> Any:
+    def _new_agent(self, start: Mapping[str, Array], begun_as: Mapping[str, Array]) -> Any:
         size, actions = self._sizes
         spaces = gym.spaces.Box(-np.inf, np.inf, (size,)), gym.spaces.Box(-1, 1, (actions,))
         settings = hyperparameters(
             self.robot, IMPROVE, batch_size=self.settings.batch_size, max_steps=1, evaluate_every=1
         )
         agent = make_agent(_Spaces(*spaces), settings, self.settings.seed)
-        told = with_context(agent_arrays(agent), base_agent, self._contexts)
+        own, observations = agent_arrays(agent), specification(self.robot).observation_size
+        told = with_context(own, begun_as, self._contexts, observations)
         restore_agent(agent, replace_actor(told, dict(start)))
         self._train = anchored_updates(start, self.settings.alpha)
         self._set_rates = rate_setter(agent)
@@ -313,6 +315,10 @@ class AnchoredRun:
                 if terminated or truncated:
                     active.remove(i)
         return np.asarray(totals / np.array(list(self._wanted.values())))
+
+    def critics(self) -> dict[str, Array]:
+        """Return the parts of the agent from which training can go on, beside the actor: under 1 MB."""
+        return {name: array for name, array in agent_arrays(self._agent).items() if name.startswith(CRITICS)}
 
     def _save(self) -> None:
         text = json.dumps(asdict(self.progress)).encode()

@@ -56,20 +56,24 @@ def compiled_act() -> Any:
     return jax.jit(act)
 
 
+# The parts of an agent that training goes on from, beside the actor. The optimisers begin anew.
+CRITICS = ("qf/params", "qf/batch_stats", "entropy/params")
+
+
 def with_context(
-    own: Mapping[str, Array], base_agent: Mapping[str, Array], contexts: Array
+    own: Mapping[str, Array], agent: Mapping[str, Array], contexts: Array, observations: int
 ) -> dict[str, Array]:
-    """Return the arrays of an agent whose critics are the base's and ignore the context yet.
+    """Return the arrays of an agent with the critics of another, which may not be told the context yet.
 
     Args:
         own: the arrays of a new agent that takes observation and context.
-        base_agent: the arrays of the base's agent.
+        agent: the arrays of the base's agent, or of an agent like ``own``.
         contexts: of the listed variants; shape (variants, parameters).
+        observations: length of an observation.
     """
     arrays = dict(own)
-    observations = len(base_agent["actor/params/Dense_0/kernel"])
-    for name, array in base_agent.items():
-        if not name.startswith(("qf/params", "qf/batch_stats", "entropy/params")):
+    for name, array in agent.items():
+        if not name.startswith(CRITICS):
             continue
         if array.shape == own[name].shape:
             arrays[name] = array

@@ -163,7 +163,8 @@ def train_universal(
             save_arrays(distilled, weights)
         weights = load_arrays(distilled)
         if settings.anchored is not None:
-            weights = _train_on(robot, plan, settings.anchored, weights, folder / "anchored", say)
+            weights, critics = _train_on(robot, plan, settings.anchored, weights, folder / "anchored", say)
+            save_arrays(plan.policies / f"{name}.agent.safetensors", critics)
         record = _record(robot, weights, folder, plan, settings, time.monotonic() - begin)
         save_arrays(plan.policies / f"{name}.safetensors", weights)
         # The record is written last. Its presence means that the policy is complete.
@@ -190,10 +191,10 @@ def _train_on(
     start: dict[str, Array],
     folder: Path,
     say: Callable[[str], None],
-) -> dict[str, Array]:
-    """Train a universal policy further and return the weights of the best checkpoint."""
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Train a universal policy further; return the weights of the best checkpoint, and the critics."""
     base = Variant(robot)
-    agent = agent_file(base, plan.policies)
+    agent = agent_file(universal_name(robot), plan.policies) or agent_file(base, plan.policies)
     if agent is None:
         raise PolicyNotFoundError(f"the critics begin as those of {base}, which has no agent")
     base_return = mean_return(own_record(base, plan.policies))
@@ -214,7 +215,7 @@ def _train_on(
         )
 
     run.train(tell)
-    return load_arrays(folder / "best.safetensors")
+    return load_arrays(folder / "best.safetensors"), run.critics()
 
 
 def _write_ranges(folder: Path, robot: str, taught: Sequence[Lesson]) -> None:

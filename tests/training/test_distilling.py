@@ -17,6 +17,7 @@ from imujoco_minari.training.anchored import Anchored, AnchoredRun
 from imujoco_minari.training.anchored_updates import with_context
 from imujoco_minari.training.distilling import Distilling, Lesson, best_teacher, distil
 from imujoco_minari.training.plan import Plan
+from imujoco_minari.training.starts import best_start
 from imujoco_minari.training.universal import UniversalSettings, drawn_variant, train_universal
 from imujoco_minari.variants import CATEGORIES, Variant
 from imujoco_minari.variants.context import parameters
@@ -89,7 +90,7 @@ def test_the_critics_of_the_base_ignore_the_context_at_first() -> None:
         for name, array in base.items()
     }
     kernel = "qf/params/VmapCritic_0/Dense_0/kernel"
-    arrays = with_context(own, base, contexts)
+    arrays = with_context(own, base, contexts, 11)
     assert np.array_equal(np.delete(arrays[kernel], [11, 12], axis=1), base[kernel])
     assert not arrays[kernel][:, 11:13].any()
     assert arrays["qf/batch_stats/VmapCritic_0/BatchRenorm_0/mean"][0, 11:13].tolist() == [0.5, 0.5]
@@ -133,5 +134,11 @@ def test_a_universal_policy_is_trained_killed_resumed_and_installed(
     assert outcome.record["measured"][str(HEAVY)]["sha256"] == found.fold(HEAVY).sha256
     assert found.actor.weights[FIRST_WEIGHT].shape[1] == 11 + len(found.low)
     assert not (tmp_path / "state" / "hopper-universal" / "distilled.safetensors").exists()
+    # Experts that are trained from it get its critics, and so does a later run.
+    agent = tmp_path / "policies" / "hopper-universal.agent.safetensors"
+    assert agent.stat().st_size < 1_000_000
+    assert (
+        best_start(HEAVY, tmp_path / "policies").agent["qf/params/VmapCritic_0/Dense_0/kernel"].shape[1] == 14
+    )
     kept = train_universal("hopper", Plan(tmp_path / "state", tmp_path / "policies"), settings)
     assert not kept.created

@@ -49,7 +49,7 @@ def told_critics(rng: np.random.Generator) -> dict[str, Array]:
         else np.zeros_like(array)
         for name, array in base.items()
     }
-    arrays = with_context(own, base, rng.normal(size=(9, count)).astype(np.float32))
+    arrays = with_context(own, base, rng.normal(size=(9, count)).astype(np.float32), 11)
     return {
         name: array + rng.normal(size=array.shape).astype(np.float32) * 0.1
         if name.startswith(("qf/params", "qf/batch_stats")) and not name.endswith(("var", "steps", "max"))
