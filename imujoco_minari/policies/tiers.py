@@ -9,13 +9,13 @@ policy is trained, so no policy of this module makes them.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from imujoco_minari.errors import DatasetError, PolicyNotFoundError, suggestion
 from imujoco_minari.policies.actors import Policy, random_policy
-from imujoco_minari.policies.experts import expert_actor
+from imujoco_minari.policies.experts import expert_actor, universal_policy
 from imujoco_minari.policies.files import read_actor
 from imujoco_minari.policies.references import measured_record
 from imujoco_minari.policies.rungs import (
@@ -26,6 +26,7 @@ from imujoco_minari.policies.rungs import (
     ranked_rungs,
     read_rung,
 )
+from imujoco_minari.policies.universal import UniversalPolicy
 from imujoco_minari.storage.missing import making
 from imujoco_minari.variants import EXPERT, Variant
 
@@ -49,7 +50,7 @@ class TierPart:
         attributes: episode attributes in addition to those of the dataset.
     """
 
-    policy: Policy
+    policy: Policy | UniversalPolicy
     episodes: int
     attributes: Mapping[str, Any] = field(default_factory=dict)
 
@@ -110,6 +111,24 @@ def parts(
             f"divided by {len(makers)}"
         )
     return [TierPart(policy, episodes // len(makers), attributes) for policy, attributes in makers]
+
+
+def range_parts(
+    robot: str, tier: str, episodes: int, *, path: Path | None, stochastic: bool
+) -> list[TierPart]:
+    """Return the parts of a dataset whose episodes draw their variants from ranges.
+
+    Its expert is the universal policy, which is told the variant of each episode. All other policies are
+    those of the base, as for :func:`parts`. Without a universal policy, the expert is the base's too.
+
+    Raises:
+        ImujocoError: what :func:`parts` raises.
+    """
+    universal = universal_policy(robot) if path is None and tier in (EXPERT, EXPERT_STOCHASTIC) else None
+    if universal is None:
+        return parts(Variant(robot), tier, episodes, path=path, stochastic=stochastic)
+    policy = replace(universal, deterministic=tier == EXPERT and not stochastic)
+    return [TierPart(policy, episodes)]
 
 
 def _makers(variant: Variant, tier: str, path: str | Path | None, stochastic: bool) -> list[_Maker]:

@@ -8,7 +8,7 @@ The idea is that of universal policies (Yu et al. 2017).
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -66,6 +66,7 @@ class UniversalPolicy:
         low: lowest value of each parameter in training; shape (parameters,).
         high: highest value of each parameter in training; shape (parameters,).
         record: how it was made, for its JSON file.
+        deterministic: whether folded policies take the mode of their distribution, or a sample.
 
     Raises:
         PolicyError: when the actor does not take the robot's observation and context.
@@ -76,6 +77,7 @@ class UniversalPolicy:
     low: Array
     high: Array
     record: Mapping[str, Any]
+    deterministic: bool = True
 
     def __post_init__(self) -> None:
         page, count = specification(self.robot), len(parameters(self.robot))
@@ -88,6 +90,11 @@ class UniversalPolicy:
 
     def __repr__(self) -> str:
         return f"UniversalPolicy({self.robot}, {len(self.low)} parameters, {self.actor!r})"
+
+    @property
+    def algorithm(self) -> str:
+        """Name of the algorithm that trained it."""
+        return self.actor.algorithm
 
     @property
     def sha256(self) -> str:
@@ -103,12 +110,11 @@ class UniversalPolicy:
         named = zip(parameters(self.robot), self.context(variant).tolist(), strict=True)
         return {name: round(100 * value, 2) for name, value in named if value}
 
-    def fold(self, variant: Variant, *, deterministic: bool = True) -> Actor:
+    def fold(self, variant: Variant) -> Actor:
         """Return the policy that is told this variant: an actor of the observation alone.
 
         Args:
             variant: any variant of the robot.
-            deterministic: whether the actor takes the mode of its distribution, or a sample.
         """
         weights = dict(self.actor.weights)
         size = specification(self.robot).observation_size
@@ -118,7 +124,27 @@ class UniversalPolicy:
             FIRST_WEIGHT: np.ascontiguousarray(weights[FIRST_WEIGHT][:, :size], np.float32),
             FIRST_BIAS: bias.astype(np.float32),
         }
-        return Actor(weights, self.actor.algorithm, deterministic).for_robot(self.robot)
+        return Actor(weights, self.algorithm, self.deterministic).for_robot(self.robot)
+
+
+class ToldPolicy:
+    """A universal policy that acts in one environment and is told the variant of each episode.
+
+    Args:
+        universal: the universal policy.
+    """
+
+    def __init__(self, universal: UniversalPolicy) -> None:
+        self._universal = universal
+        self._folded = universal.fold(Variant(universal.robot))
+
+    def tell(self, variant: Variant) -> None:
+        """Act in this variant from now on."""
+        self._folded = self._universal.fold(variant)
+
+    def act_together(self, observations: Array, rngs: Sequence[np.random.Generator]) -> Array:
+        """Return the actions, as :meth:`Actor.act_together` does."""
+        return self._folded.act_together(observations, rngs)
 
 
 def read_universal(weights: Path) -> UniversalPolicy:

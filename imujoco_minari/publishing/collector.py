@@ -21,8 +21,10 @@ from numpy.typing import NDArray
 from imujoco_minari.policies import LANES, Policy
 from imujoco_minari.policies.adapters import batch_act, checked
 from imujoco_minari.policies.rollouts import episode_seed, roll_out_together
+from imujoco_minari.policies.universal import ToldPolicy, UniversalPolicy
 from imujoco_minari.storage.quiet_file import safe_point
 from imujoco_minari.storage.writer import EpisodeStorage, new_storage
+from imujoco_minari.variants import Variant
 
 # Seed of an episode -> its attributes.
 Attributes = Callable[[int], Mapping[str, Any]]
@@ -126,7 +128,7 @@ def _warn_if_outside(space: gym.Space[Any], rows: NDArray[Any], name: str) -> No
 
 def collect(
     spec: EnvSpec,
-    policy: Policy,
+    policy: Policy | UniversalPolicy,
     episodes: Iterable[int],
     seed: int,
     target: Path,
@@ -137,7 +139,7 @@ def collect(
 
     Args:
         spec: specification of the environment to step.
-        policy: chooses the actions.
+        policy: chooses the actions. A universal policy is told the variant of each episode.
         episodes: numbers of the episodes in the dataset. Each number seeds its episode.
         seed: base seed of the dataset.
         target: the new folder of the storage. Its parent must exist.
@@ -145,14 +147,20 @@ def collect(
         on_episode: called after each episode.
     """
     seeds = [episode_seed(seed, episode) for episode in episodes]
-    envs = [gym.make(spec) for _ in range(min(LANES, len(seeds)))]
+    # A universal policy is told another variant in each episode, so one episode runs at a time.
+    told = ToldPolicy(policy) if isinstance(policy, UniversalPolicy) else None
+    envs = [gym.make(spec) for _ in range(1 if told else min(LANES, len(seeds)))]
     ordered = OrderedStorage(new_storage(target, envs[0], {}), attributes)
     collectors = [StorageCollector(env, ordered) for env in envs]
-    act = checked(batch_act(policy), envs[0].action_space.shape or ())
+    act = checked(batch_act(told or policy), envs[0].action_space.shape or ())
+
+    def begin(lane: int, number: int) -> None:
+        collectors[lane].begin(number)
+        if told is not None:
+            told.tell(Variant.parse(attributes(seeds[number])["variant"]))
+
     try:
-        for _ in roll_out_together(
-            collectors, act, seeds, lambda lane, episode: collectors[lane].begin(episode)
-        ):
+        for _ in roll_out_together(collectors, act, seeds, begin):
             on_episode()
     finally:
         for collector in collectors:

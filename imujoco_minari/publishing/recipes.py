@@ -10,7 +10,8 @@ from typing import Any
 from imujoco_minari.errors import DatasetError, PolicyError, VariantError, whole_number
 from imujoco_minari.policies import Policy
 from imujoco_minari.policies.experts import FOLDED
-from imujoco_minari.policies.tiers import MEDIUM_REPLAY, TierPart, parts
+from imujoco_minari.policies.tiers import MEDIUM_REPLAY, TierPart, parts, range_parts
+from imujoco_minari.policies.universal import UniversalPolicy
 from imujoco_minari.storage import file_format
 from imujoco_minari.variants import EXPERT, Ranges, Variant
 
@@ -93,6 +94,9 @@ class Recipe:
     def parts(self) -> list[TierPart]:
         """Return the parts of the dataset, each of one policy, in the order of the episodes."""
         if self.policy is None or isinstance(self.policy, Path):
+            if isinstance(self.variant, Ranges):
+                robot, path = self.variant.robot, self.policy
+                return range_parts(robot, self.tier, self.episodes, path=path, stochastic=self.stochastic)
             return parts(self.nominal, self.tier, self.episodes, path=self.policy, stochastic=self.stochastic)
         return [TierPart(self.policy, self.episodes)]
 
@@ -147,7 +151,7 @@ def _check_policy(policy: Any, robot: str) -> None:
         policy.check(robot)
 
 
-def algorithms(policies: Sequence[Policy]) -> str:
+def algorithms(policies: Sequence[Policy | UniversalPolicy]) -> str:
     """Return the names of the policies' algorithms as text for the metadata."""
     return ", ".join(dict.fromkeys(policy.algorithm for policy in policies))
 

@@ -17,7 +17,7 @@ from imujoco_minari.errors import ImujocoError
 from imujoco_minari.policies.experts import expert_record
 from imujoco_minari.policies.references import reference_scores
 from imujoco_minari.policies.rollouts import episode_seed
-from imujoco_minari.policies.tiers import RECORDED, TierPart, parts
+from imujoco_minari.policies.tiers import RECORDED, TierPart, parts, range_parts
 from imujoco_minari.storage import file_format
 from imujoco_minari.storage.metadata import PACKAGES, code_address, requirements, sources
 from imujoco_minari.variants import NAMESPACE, Variant, specification
@@ -89,11 +89,12 @@ def known_parts(variant: Variant, tier: str, metadata: Mapping[str, Any]) -> lis
     """Return the parts of a dataset whose policies are all known here, or None."""
     if is_collection(metadata) or isinstance(variant, OriginalVariant):
         return None
-    # The policies of a randomised dataset are those of the unchanged robot.
-    variant = variant.base if is_randomised(metadata) else variant
-    stochastic = metadata.get("policy_deterministic") is False
+    stochastic, episodes = metadata.get("policy_deterministic") is False, metadata["total_episodes"]
     try:
-        found = parts(variant, tier, metadata["total_episodes"], path=None, stochastic=stochastic)
+        if is_randomised(metadata):
+            found = range_parts(variant.robot, tier, episodes, path=None, stochastic=stochastic)
+        else:
+            found = parts(variant, tier, episodes, path=None, stochastic=stochastic)
     except ImujocoError:
         return None
     return found if [part.policy.sha256 for part in found] == _policies(metadata) else None

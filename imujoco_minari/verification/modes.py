@@ -10,6 +10,7 @@ import h5py
 import numpy as np
 
 from imujoco_minari.policies import Actor
+from imujoco_minari.policies.universal import UniversalPolicy
 from imujoco_minari.storage import file_format
 from imujoco_minari.variants.original import variant_of
 from imujoco_minari.verification.expected import known_parts
@@ -33,14 +34,17 @@ def actions(file: h5py.File, metadata: Mapping[str, Any]) -> Iterator[Finding]:
     for part in known_parts(variant_of(stated), str(stated["tier"]), metadata) or ():
         name = file_format.episode_name(first)
         first += part.episodes
-        if part.episodes == 0 or not isinstance(part.policy, Actor):
+        policy = part.policy
+        if isinstance(policy, UniversalPolicy) and part.episodes:
+            policy = policy.fold(variant_of(file[name].attrs))
+        if part.episodes == 0 or not isinstance(policy, Actor):
             continue
         observations, chosen = file[name]["observations"][:-1], file[name]["actions"][()]
-        modes = replace(part.policy, deterministic=True).act(observations, np.random.default_rng())
+        modes = replace(policy, deterministic=True).act(observations, np.random.default_rng())
         are_modes = np.allclose(chosen, modes, rtol=0, atol=TOLERANCE)
-        if are_modes != part.policy.deterministic:
+        if are_modes != policy.deterministic:
             yield Finding(
                 f"{name}/actions",
                 f"are {'the' if are_modes else 'not the'} modes of the policy, and the metadata state "
-                f"policy_deterministic: {str(part.policy.deterministic).lower()}",
+                f"policy_deterministic: {str(policy.deterministic).lower()}",
             )

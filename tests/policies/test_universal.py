@@ -129,3 +129,24 @@ def test_a_broken_record_is_named(tmp_path: Path, text: str) -> None:
     (tmp_path / "hopper-universal.json").write_text(text)
     with pytest.raises(PolicyError, match="not the record of a universal policy"):
         read_universal(tmp_path / "hopper-universal.safetensors")
+
+
+def test_episodes_of_ranges_are_acted_by_the_policy_that_is_told_what_was_drawn(root: Path) -> None:
+    import minari
+
+    from imujoco_minari import Ranges, verify
+
+    ranges = Ranges("hopper", {"mass/torsogeom": (-50, 200), "gravity/world": (-20, 20)})
+    outcome = publish(ranges, episodes=3, jobs=2)
+    assert verify(outcome.dataset_id) == []
+    dataset = minari.load_dataset(outcome.dataset_id)
+    universal = universal_policy("hopper")
+    assert universal is not None
+    assert dataset.storage.metadata["policy_sha256"] == universal.sha256
+    stated = list(dataset.storage.get_episode_metadata(range(3)))
+    for episode, attributes in zip(dataset, stated, strict=True):
+        told = universal.fold(Variant.parse(attributes["variant"]))
+        seen = episode.observations[:-1]
+        assert episode.actions == pytest.approx(told.act(seen, np.random.default_rng(0)), abs=1e-5)
+    other = universal.fold(Variant("hopper")).act(dataset[0].observations[:-1], np.random.default_rng(0))
+    assert np.abs(dataset[0].actions - other).max() > 0.01
