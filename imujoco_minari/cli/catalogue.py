@@ -10,8 +10,9 @@ from imujoco_minari.cli.options import AsJson, Category, Robot, VariantId, WithB
 from imujoco_minari.cli.printing import out, print_json, print_table
 from imujoco_minari.cli.selection import Filters, counted_variants
 from imujoco_minari.errors import VariantError
-from imujoco_minari.policies import expert_record, expert_variants
+from imujoco_minari.policies import expert_record, expert_variants, universal_policy
 from imujoco_minari.policies.experts import FOLDED
+from imujoco_minari.policies.standing import share_of_base
 from imujoco_minari.storage import minari_root
 from imujoco_minari.variants import EXPERT, NAMESPACE, Variant, parse_dataset_id
 
@@ -22,7 +23,8 @@ def list_variants(
 ) -> None:
     """List the variants of the catalogue.
 
-    It shows which tiers of each variant are in the Minari root. Other commands with the same filters work on
+    It shows which expert each variant has: its own, or the universal policy of the robot, folded. It shows
+    which tiers of each variant are in the Minari root. Other commands with the same filters work on
     the variants that it lists: `imujoco list --robot hopper` lists those that `imujoco publish --robot
     hopper` publishes. It lists the base robots only with --with-base.
 
@@ -30,6 +32,7 @@ def list_variants(
     """
     chosen = Filters(robot, category, with_base=with_base).variants()
     experts, tiers = set(expert_variants()), _published_tiers()
+    told = {variant.robot for variant in chosen if universal_policy(variant.robot) is not None}
     rows: list[dict[str, Any]] = [
         {
             "variant": str(variant),
@@ -37,7 +40,7 @@ def list_variants(
             "category": variant.category,
             "body": variant.body,
             "percent": variant.percent,
-            "policy": variant in experts,
+            "policy": "own" if variant in experts else "folded" if variant.robot in told else None,
             "published": tiers.get(variant, []),
         }
         for variant in chosen
@@ -49,7 +52,7 @@ def list_variants(
     print_table(columns, [[_cell(row[column]) for column in columns] for row in rows], numeric=("percent",))
     out.print(
         "",
-        f"{counted_variants(chosen)}; {sum(row['policy'] for row in rows)} with an expert policy, "
+        f"{counted_variants(chosen)}; {sum(row['policy'] is not None for row in rows)} with an expert, "
         f"{sum(bool(row['published']) for row in rows)} published in {minari_root.datasets_root()}",
     )
 
@@ -128,13 +131,15 @@ def _print_record(record: Mapping[str, Any]) -> None:
         f"({evaluation['return_min']:.1f} to {evaluation['return_max']:.1f}) "
         f"over {evaluation['episodes']} episodes of {evaluation['length_mean']:.0f} steps"
     )
+    if (share := share_of_base(record)) is not None:
+        out.print(f"of the base  {share:.2f}")
     if random:
         out.print(f"random       {random['return_mean']:.1f} over {random['episodes']} episodes")
 
 
 def _cell(value: Any) -> str:
-    if isinstance(value, bool):
-        return "yes" if value else "-"
+    if value is None:
+        return "-"
     if isinstance(value, list):
         return ", ".join(value) or "-"
     return f"{value:+g}" if isinstance(value, int | float) else str(value)

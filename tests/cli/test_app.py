@@ -19,7 +19,7 @@ from imujoco_minari.cli.app import run
 def test_list_counts_the_catalogue(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["list"]) == 0
     out = capsys.readouterr().out
-    assert "154 variants; 154 with an expert policy, 0 published" in out
+    assert "154 variants; 154 with an expert, 0 published" in out
     assert "hopper-massdec_25_leggeom" in out
     assert run(["list", "--robot", "hopper", "--with-base"]) == 0
     out = capsys.readouterr().out

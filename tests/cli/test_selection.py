@@ -172,7 +172,7 @@ def test_publish_takes_several_tiers(capsys: pytest.CaptureFixture[str]) -> None
     assert ids == [f"imujoco/{LEG}-random-v0", f"imujoco/{LEG}-medium-v0"]
     assert run(["list", "-r", "hopper", "-c", "mass"]) == 0
     (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith(LEG)]
-    assert line.endswith("  yes     medium, random")
+    assert line.endswith("  own     medium, random")
     assert run(["show", LEG]) == 0
     assert "(published here: medium, random)" in capsys.readouterr().out
 
