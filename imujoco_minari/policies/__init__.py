@@ -4,7 +4,8 @@ This package reads and writes policies, chooses the policies of each tier, runs 
 evaluates them. It knows nothing of datasets.
 """
 
-from imujoco_minari.policies.actors import LANES, Actor, Array, Policy, RandomPolicy, random_policy
+from imujoco_minari.policies.actors import LANES, Actor, Policy
+from imujoco_minari.policies.doors import Array
 from imujoco_minari.policies.experts import (
     agent_file,
     expert_actor,
@@ -17,6 +18,7 @@ from imujoco_minari.policies.experts import (
 )
 from imujoco_minari.policies.files import read_actor
 from imujoco_minari.policies.tiers import load_policy
+from imujoco_minari.policies.uniform import RandomPolicy, random_policy
 
 __all__ = [
     "LANES",

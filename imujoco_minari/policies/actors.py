@@ -1,4 +1,4 @@
-"""Policies choose actions: a random policy, and SAC's squashed Gaussian actor in NumPy.
+"""SAC's squashed Gaussian actor in NumPy.
 
 The actor takes a tenth of the time of ``SAC.predict``. Its deterministic action equals that of
 ``SAC.predict`` within float32 rounding.
@@ -13,12 +13,10 @@ from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imujoco_minari.errors import PolicyError, clipped
+from imujoco_minari.policies.doors import Array, Doors, given
 from imujoco_minari.variants import known_robots, specification
-
-Array = NDArray[Any]
 
 _LOG_STD_RANGE = (-20.0, 2.0)
 _ACTIVATIONS = ("ReLU", "Tanh", "ELU", "SiLU")
@@ -68,44 +66,8 @@ class Policy(Protocol):
         """Return the action (float32) for one observation (float64)."""
 
 
-@dataclass(frozen=True)
-class RandomPolicy:
-    """Draws actions uniformly from the action space.
-
-    Attributes:
-        action_size: length of an action.
-        algorithm: ``random``.
-        deterministic: False.
-        bound: largest absolute value of an action's entry.
-    """
-
-    action_size: int
-    algorithm: str = "random"
-    deterministic: bool = False
-    bound: float = 1.0
-
-    @property
-    def sha256(self) -> str:
-        """Digest of the distribution's name: a random policy has no weights."""
-        return hashlib.sha256(f"uniform [-{self.bound:g}, {self.bound:g}]".encode()).hexdigest()
-
-    def act(self, observation: Array, rng: np.random.Generator) -> Array:
-        """Return a uniformly random action."""
-        return rng.uniform(-self.bound, self.bound, self.action_size).astype(np.float32)
-
-
-def random_policy(robot: str) -> RandomPolicy:
-    """Return the random policy of a robot.
-
-    Raises:
-        VariantError: when there is no such robot.
-    """
-    page = specification(robot)
-    return RandomPolicy(page.action_size, bound=page.action_bound)
-
-
 @dataclass(frozen=True, eq=False, repr=False)
-class Actor:
+class Actor(Doors):
     """SAC's squashed Gaussian actor: a multilayer perceptron with two heads, mean and log deviation.
 
     Attributes:
@@ -168,7 +130,7 @@ class Actor:
             digest.update(array.tobytes())
         return digest.hexdigest()
 
-    def act(self, observation: Array, rng: np.random.Generator) -> Array:
+    def act(self, observation: Array, rng: np.random.Generator | None = None) -> Array:
         """Return the action, float32 in ``[-bound, bound]``, for an observation.
 
         The result for a row of a batch differs from the result for that row alone by float32 rounding.
@@ -176,12 +138,15 @@ class Actor:
         Args:
             observation: of shape ``(n,)``, or a batch of shape ``(b, n)``.
             rng: source of the sample; a deterministic actor does not use it.
+
+        Raises:
+            ArgumentError: when the actor samples and there is no ``rng``.
         """
         latent = self._latent(observation)
         mean = _affine(latent, self._mean)
         if not self.deterministic:
             log_std = np.clip(_affine(latent, self._log_std), *_LOG_STD_RANGE)
-            mean = mean + np.exp(log_std) * rng.standard_normal(mean.shape, dtype=np.float32)
+            mean = mean + np.exp(log_std) * given(rng).standard_normal(mean.shape, dtype=np.float32)
         return self._scale(np.tanh(mean))
 
     def distribution(self, observation: Array) -> tuple[Array, Array]:

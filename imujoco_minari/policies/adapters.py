@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from imujoco_minari.errors import PolicyError
-from imujoco_minari.policies.actors import Array
+from imujoco_minari.policies.doors import Array
 
 # Observations of shape (b, obs) and a source of random numbers for each -> actions of shape (b, act).
 BatchAct: TypeAlias = Callable[[Array, Sequence[np.random.Generator]], Any]

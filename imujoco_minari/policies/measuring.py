@@ -11,8 +11,9 @@ import numpy as np
 
 from imujoco_minari.envs.registration import environment_spec
 from imujoco_minari.errors import ArgumentError, whole_number
-from imujoco_minari.policies import LANES, Array
+from imujoco_minari.policies.actors import LANES
 from imujoco_minari.policies.adapters import batch_act, checked
+from imujoco_minari.policies.doors import Array
 from imujoco_minari.policies.rollouts import episode_seed, roll_out_together
 from imujoco_minari.variants import Variant
 

@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
-from imujoco_minari.policies import Actor, Policy, expert_actor, expert_record, random_policy
-from imujoco_minari.policies.experts import FOLDED, keep_measured
+from imujoco_minari.policies.actors import Actor, Policy
+from imujoco_minari.policies.experts import FOLDED, expert_actor, expert_record, keep_measured
 from imujoco_minari.policies.measuring import measure, summary
+from imujoco_minari.policies.uniform import random_policy
 from imujoco_minari.variants import Variant
 from imujoco_minari.variants.robots import follows_page
 

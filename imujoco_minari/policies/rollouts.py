@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 
-from imujoco_minari.policies import Policy
+from imujoco_minari.policies.actors import Policy
 from imujoco_minari.policies.adapters import BatchAct
 
 

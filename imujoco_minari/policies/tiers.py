@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from imujoco_minari.errors import DatasetError, PolicyNotFoundError, suggestion
-from imujoco_minari.policies.actors import Policy, random_policy
+from imujoco_minari.policies.actors import Policy
 from imujoco_minari.policies.experts import expert_actor, universal_policy
 from imujoco_minari.policies.files import read_actor
 from imujoco_minari.policies.references import measured_record
@@ -26,6 +26,7 @@ from imujoco_minari.policies.rungs import (
     ranked_rungs,
     read_rung,
 )
+from imujoco_minari.policies.uniform import random_policy
 from imujoco_minari.policies.universal import UniversalPolicy
 from imujoco_minari.storage.missing import making
 from imujoco_minari.variants import EXPERT, Variant

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imujoco_minari.errors import PolicyError, PolicyNotFoundError
-from imujoco_minari.policies.actors import Actor, Array
+from imujoco_minari.policies.actors import Actor
+from imujoco_minari.policies.doors import Array
 from imujoco_minari.policies.files import actor_of_bytes
 from imujoco_minari.variants import Variant, specification
 from imujoco_minari.variants.context import parameters

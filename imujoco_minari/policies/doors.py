@@ -1,0 +1,73 @@
+"""The ways to ask a policy for an action: ``act``, a call, and ``predict`` as in Stable-Baselines3."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imujoco_minari.errors import ArgumentError
+
+Array = NDArray[Any]
+
+
+class Doors:
+    """A policy with an ``act`` method, which can also be called and asked to predict."""
+
+    deterministic: bool
+
+    def act(self, observation: Array, rng: np.random.Generator | None = None) -> Array:
+        """Return the action for an observation; see the policy's own method."""
+        raise NotImplementedError
+
+    def __call__(self, observation: Array, rng: np.random.Generator | None = None) -> Array:
+        """Return what ``act`` returns."""
+        return self.act(observation, rng)
+
+    def predict(
+        self,
+        observation: Array,
+        state: None = None,
+        episode_start: Array | None = None,
+        deterministic: bool | None = None,
+        *,
+        rng: np.random.Generator | None = None,
+    ) -> tuple[Array, None]:
+        """Return the action and no state, as a model of Stable-Baselines3 does.
+
+        Args:
+            observation: of shape ``(n,)``, or a batch of shape ``(b, n)``.
+            state: not used; the policies of this package have no state.
+            episode_start: not used.
+            deterministic: take the mode of the distribution, or a sample. None for what the policy does.
+            rng: source of the sample; a deterministic action does not use it.
+
+        Raises:
+            ArgumentError: when an action is sampled without ``rng``, or a random policy is asked for a mode.
+
+        Example:
+            >>> action, _ = load_policy("hopper-base").predict(observation)  # doctest: +SKIP
+        """
+        if deterministic is None or deterministic == self.deterministic:
+            return self.act(observation, rng), None
+        return self.changed(deterministic).act(observation, rng), None
+
+    def changed(self, deterministic: bool) -> Doors:
+        """Return the same policy, acting deterministically or not."""
+        return replace(self, deterministic=deterministic)  # type: ignore[type-var]
+
+
+def given(rng: np.random.Generator | None) -> np.random.Generator:
+    """Return the source of random numbers.
+
+    Raises:
+        ArgumentError: when there is none.
+    """
+    if rng is None:
+        raise ArgumentError(
+            "this policy samples its actions and needs a source of random numbers: "
+            "act(observation, rng=np.random.default_rng(0))"
+        )
+    return rng

@@ -1,0 +1,52 @@
+"""A loaded policy is used as people expect: called, asked to predict, or to act; one way inside."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imujoco_minari import evaluate, load_policy
+from imujoco_minari.errors import ArgumentError
+
+OBSERVATIONS = np.random.default_rng(0).normal(size=(5, 11))
+
+
+def test_three_doors_give_one_action() -> None:
+    policy = load_policy("hopper-base")
+    for seen in (OBSERVATIONS[0], OBSERVATIONS):
+        action, state = policy.predict(seen)  # type: ignore[attr-defined]
+        assert state is None
+        assert action.shape == (*seen.shape[:-1], 3)
+        assert np.array_equal(action, policy(seen))  # type: ignore[operator]
+        assert np.array_equal(action, policy.act(seen))  # type: ignore[call-arg]
+        assert np.array_equal(action, policy.predict(seen, deterministic=True)[0])  # type: ignore[attr-defined]
+
+
+def test_a_policy_that_samples_asks_for_rng_by_name() -> None:
+    stochastic = load_policy("hopper-base", stochastic=True)
+    for ask in (stochastic, stochastic.act, load_policy("hopper-base", tier="random")):
+        with pytest.raises(ArgumentError, match=r"rng=np\.random\.default_rng\(0\)"):
+            ask(OBSERVATIONS)  # type: ignore[operator, call-arg]
+    first, second = (
+        load_policy("hopper-base").predict(  # type: ignore[attr-defined]
+            OBSERVATIONS, deterministic=False, rng=np.random.default_rng(3)
+        )[0]
+        for _ in range(2)
+    )
+    assert np.array_equal(first, second)
+    assert np.array_equal(first, stochastic(OBSERVATIONS, np.random.default_rng(3)))  # type: ignore[operator]
+    assert np.array_equal(
+        stochastic.predict(OBSERVATIONS, deterministic=True)[0],  # type: ignore[attr-defined]
+        load_policy("hopper-base")(OBSERVATIONS),  # type: ignore[operator]
+    )
+
+
+def test_a_random_policy_acts_for_a_batch_and_has_no_mode() -> None:
+    policy = load_policy("hopper-base", tier="random")
+    assert policy(OBSERVATIONS, np.random.default_rng(0)).shape == (5, 3)  # type: ignore[operator]
+    with pytest.raises(ArgumentError, match="no deterministic action"):
+        policy.predict(OBSERVATIONS, deterministic=True)  # type: ignore[attr-defined]
+
+
+def test_a_policy_is_still_evaluated_as_itself() -> None:
+    assert evaluate("hopper-base", load_policy("hopper-base"), episodes=1).return_mean > 3000
