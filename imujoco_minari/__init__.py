@@ -14,6 +14,8 @@ from imujoco_minari.errors import ImujocoError
 from imujoco_minari.variants import Ranges, Variant, bases, catalogue
 
 if TYPE_CHECKING:
+    from minari import list_local_datasets
+
     from imujoco_minari.envs.mjcf import canonical_mjcf
     from imujoco_minari.exporting import export
     from imujoco_minari.loading import Sampler, arrays, few_shot
@@ -42,6 +44,7 @@ __all__ = [
     "export",
     "few_shot",
     "held_out",
+    "list_local_datasets",
     "load_catalogue",
     "load_dataset",
     "load_policy",
@@ -80,9 +83,17 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         return version("imujoco-minari")
+    if name == "list_local_datasets":
+        # Minari's own, here because users expect it beside load_dataset.
+        return import_module("minari").list_local_datasets
     if name in _LAZY:
         return getattr(import_module(f"imujoco_minari.{_LAZY[name]}"), name)
     raise AttributeError(f"module 'imujoco_minari' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """Return all names, also those that are imported when they are first used."""
+    return sorted({*globals(), *__all__})
 
 
 register_catalogue()

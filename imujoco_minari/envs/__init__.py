@@ -20,6 +20,7 @@ from imujoco_minari.envs.registration import (
     register,
     register_catalogue,
 )
+from imujoco_minari.variants import known_robots, specification
 
 __all__ = [
     "collection_spec",
@@ -46,3 +47,9 @@ def __getattr__(name: str) -> Any:
         if name.endswith("VariantEnv"):
             return robots.variant_class(name.removesuffix("VariantEnv"))
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """Return all names, also those that are imported when they are first used."""
+    robots = (f"{specification(robot).title}VariantEnv" for robot in known_robots())
+    return sorted({*globals(), *__all__, *robots, "CollectionEnv", "RandomisedEnv"})

@@ -56,6 +56,13 @@ class DrawingEnv(gym.Env[Any, Any]):
         """The variant of the present episode."""
         return self._current.variant
 
+    def __getattr__(self, name: str) -> Any:
+        """Return an attribute of the present robot: ``model``, ``data``, ``dt``, ``set_state`` and others."""
+        # A copy that is being made has no robot yet.
+        if name.startswith("_") or "_current" not in vars(self):
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        return getattr(self._current, name)
+
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:

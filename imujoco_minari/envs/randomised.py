@@ -12,7 +12,7 @@ from imujoco_minari.envs.robots import VariantEnv
 from imujoco_minari.errors import VariantError
 from imujoco_minari.variants import Variant, adopt_page
 from imujoco_minari.variants.context import check_parameters, context
-from imujoco_minari.variants.ranges import UNIFORM, Ranges
+from imujoco_minari.variants.ranges import UNIFORM, Ranges, drawing_ranges
 from imujoco_minari.variants.robots import forget_on_error
 
 
@@ -25,7 +25,7 @@ class RandomisedEnv(DrawingEnv, EzPickle):
 
     Args:
         robot: the robot, as in ``hopper``.
-        ranges: parameter -> lowest and highest percent of change.
+        ranges: parameter -> lowest and highest percent of change; None for those of the catalogue.
         distribution: ``uniform`` or ``log-uniform``.
         parameters: names of the parameters in the context; None for those that have a range.
         observe_context: append the context to the observation.
@@ -55,7 +55,7 @@ class RandomisedEnv(DrawingEnv, EzPickle):
         EzPickle.__init__(self, robot, ranges, distribution, parameters, observe_context, page, **kwargs)
         if page is not None:
             adopt_page(robot, page)
-        self.ranges = Ranges(robot, ranges or {}, distribution)
+        self.ranges = Ranges(robot, drawing_ranges(robot) if ranges is None else ranges, distribution)
         names = self.ranges.parameters if parameters is None else check_parameters(robot, parameters)
         context(self.ranges.draw(0), names)
         self._kwargs = kwargs

@@ -27,7 +27,7 @@ from imujoco_minari.variants import (
     specification,
 )
 from imujoco_minari.variants.original import ORIGINAL, OriginalVariant
-from imujoco_minari.variants.ranges import RANDOMISED, UNIFORM, Ranges
+from imujoco_minari.variants.ranges import RANDOMISED, UNIFORM, Ranges, drawing_ranges
 from imujoco_minari.variants.robots import forget_on_error
 
 MAX_EPISODE_STEPS = 1000
@@ -174,7 +174,7 @@ def make(variant: Variant | str, mjcf: str | None = None, **kwargs: Any) -> gym.
 
 def randomised(
     robot: str,
-    ranges: Mapping[str, Sequence[float]],
+    ranges: Mapping[str, Sequence[float]] | None = None,
     distribution: str = UNIFORM,
     **kwargs: Any,
 ) -> gym.Env[Any, Any]:
@@ -184,7 +184,8 @@ def randomised(
 
     Args:
         robot: the robot, as in ``hopper``.
-        ranges: parameter -> lowest and highest percent of change.
+        ranges: parameter -> lowest and highest percent of change; None for those of the catalogue: every
+            parameter from its lowest to its highest listed percent.
         distribution: ``uniform`` draws the percent uniformly; ``log-uniform`` draws the logarithm of the
             factor 1 + percent / 100 uniformly.
         **kwargs: what ``gymnasium.make`` takes, and ``parameters`` and ``observe_context`` of
@@ -199,7 +200,8 @@ def randomised(
         >>> env.reset(seed=0)[1]["variant"]
         'hopper-massinc_91p44_torsogeom-frictiondec_18p37_feet'
     """
-    return gym.make(randomised_spec(Ranges(robot, ranges, distribution)), **kwargs)
+    bounds = drawing_ranges(robot) if ranges is None else ranges
+    return gym.make(randomised_spec(Ranges(robot, bounds, distribution)), **kwargs)
 
 
 def register(variant: Variant | str) -> str:

@@ -50,7 +50,7 @@ class Trajectory(NamedTuple):
     truncated: bool
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Arrays:
     """The steps of many episodes of one robot, one episode after the other.
 
@@ -77,6 +77,19 @@ class Arrays:
     episode_starts: Array
     table: tuple[Origin, ...]
     statistics: Statistics | None = None
+
+    def __repr__(self) -> str:
+        robots, variants, tiers = (
+            list(dict.fromkeys(getattr(origin, name) for origin in self.table))
+            for name in ("robot", "variant", "tier")
+        )
+        size = sum(array.nbytes for array in vars(self).values() if isinstance(array, np.ndarray))
+        named = variants[0] if len(variants) == 1 else f"{len(variants)} variants of {', '.join(robots)}"
+        normalized = ", normalised" if self.statistics is not None else ""
+        return (
+            f"Arrays({named}, {'/'.join(tiers)}: {self.episodes} episodes, {len(self)} transitions, "
+            f"{self.observations.dtype}{normalized}, {size / 1e6:.1f} MB)"
+        )
 
     def __len__(self) -> int:
         """The number of steps."""

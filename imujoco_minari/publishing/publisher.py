@@ -4,13 +4,21 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import overload
 
 from imujoco_minari.envs.mjcf import canonical_mjcf
-from imujoco_minari.errors import ArgumentError, ImujocoError, JobError, PolicyWarning, whole_number
+from imujoco_minari.errors import (
+    ArgumentError,
+    DatasetError,
+    ImujocoError,
+    JobError,
+    PolicyWarning,
+    whole_number,
+)
 from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies import Policy
 from imujoco_minari.policies.references import reference_scores, weakness_of
@@ -23,8 +31,34 @@ from imujoco_minari.storage.metadata import provenance
 from imujoco_minari.variants import EXPERT, Ranges, Variant
 
 
-def publish(
+@overload
+def publish(  # type: ignore[overload-overlap]  # a str is an iterable of str
     variant: Variant | str | Ranges,
+    *,
+    tier: str = ...,
+    episodes: int = ...,
+    seed: int = ...,
+    policy: Path | str | Policy | None = ...,
+    jobs: int = ...,
+    force: bool = ...,
+) -> Published: ...
+
+
+@overload
+def publish(
+    variant: Iterable[Variant | str | Ranges],
+    *,
+    tier: str = ...,
+    episodes: int = ...,
+    seed: int = ...,
+    policy: Path | str | Policy | None = ...,
+    jobs: int = ...,
+    force: bool = ...,
+) -> list[Published]: ...
+
+
+def publish(
+    variant: Variant | str | Ranges | Iterable[Variant | str | Ranges],
     *,
     tier: str = EXPERT,
     episodes: int = 100,
@@ -32,12 +66,12 @@ def publish(
     policy: Path | str | Policy | None = None,
     jobs: int = 1,
     force: bool = False,
-) -> Published:
-    """Publish one variant's dataset in the Minari root.
+) -> Published | list[Published]:
+    """Publish one variant's dataset in the Minari root, or the datasets of several.
 
     Args:
         variant: a variant or its id; or :class:`~imujoco_minari.variants.ranges.Ranges`, from which each
-            episode draws a variant.
+            episode draws a variant; or several of them.
         tier: the tier, which names the policy and is part of the dataset's id.
         episodes: number of episodes.
         seed: base seed of all random numbers.
@@ -46,7 +80,8 @@ def publish(
         force: replace the dataset that has the id. The old dataset is removed when the new one is complete.
 
     Returns:
-        The outcome. ``created`` is false if the root has the dataset of the same recipe already.
+        The outcome. ``created`` is false if the root has the dataset of the same recipe already. For several
+        variants, a list in their order. The first failure is raised when all others are published.
 
     Raises:
         DatasetExistsError: if the root has another dataset with this id and ``force`` is false.
@@ -63,9 +98,20 @@ def publish(
         >>> published.dataset_id
         'imujoco/hopper-massdec_25_leggeom-random-v0'
     """
-    parsed = variant if isinstance(variant, Ranges) else Variant.parse(variant)
     made_by = Path(policy) if isinstance(policy, str) else policy
-    return publish_recipe(Recipe(parsed, tier, episodes, seed, made_by), jobs=jobs, force=force)
+
+    def recipe(each: Variant | str | Ranges) -> Recipe:
+        parsed = each if isinstance(each, Ranges) else Variant.parse(each)
+        return Recipe(parsed, tier, episodes, seed, made_by)
+
+    if isinstance(variant, Variant | str | Ranges) or not isinstance(variant, Iterable):
+        return publish_recipe(recipe(variant), jobs=jobs, force=force)
+    recipes = [recipe(each) for each in variant]
+    outcomes = {each.dataset_id: each for each in publish_all(recipes, jobs=jobs, force=force)}
+    if failed := [each for each in outcomes.values() if each.error]:
+        name, error = failed[0].dataset_id, failed[0].error
+        raise DatasetError(error if name in error else f"{name}: {error}")
+    return [outcomes[each.dataset_id] for each in recipes]
 
 
 def publish_recipe(

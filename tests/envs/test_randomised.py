@@ -152,7 +152,7 @@ def test_a_variant_can_be_chosen_outside_the_ranges_too() -> None:
 
 def test_bad_arguments_are_refused() -> None:
     with pytest.raises(DrawingError, match="no ranges are given"):
-        gym.make(NAME)
+        gym.make(NAME, ranges={})
     with pytest.raises(
         VariantError, match="changes length/leggeom, which is not a parameter of this context"
     ):
