@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from itertools import pairwise
-
 import gymnasium as gym
 import pytest
 from hypothesis import given
@@ -66,28 +63,6 @@ def variants(draw: st.DrawFn, most: int = 3, decimals: int = 2) -> Variant:
     return Variant(robot, tuple(draw(st.permutations(list(found.values())))))
 
 
-@given(variants(most=1, decimals=0), st.integers(0, 12))
-def test_milder_variants_lead_from_the_base_to_the_variant(variant: Variant, count: int) -> None:
-    percents = [milder.percent for milder in variant.milder(count)]
-    assert len(percents) == min(count, max(0, abs(variant.percent) - 1))
-    path = [0, *map(abs, percents), max(1, abs(variant.percent))]
-    assert path == sorted(set(path))
-    assert all(percent * variant.percent > 0 for percent in percents)
-    # Even steps, to the rounding.
-    gaps = [after - before for before, after in pairwise(path)]
-    assert max(gaps) - min(gaps) <= 1 or variant.percent == 0
-    for milder in variant.milder(count):
-        (change,) = milder.changes
-        assert Variant(variant.robot, (replace(change, percent=variant.percent),)) == variant
-
-
-def test_the_base_has_no_milder_variants() -> None:
-    assert Variant.parse("hopper-base").milder(4) == ()
-    assert list(map(str, Variant.parse("hopper-lengthdec_25_leggeom").milder(4))) == [
-        f"hopper-lengthdec_{percent}_leggeom" for percent in (5, 10, 15, 20)
-    ]
-
-
 @given(variants())
 def test_parsing_undoes_formatting(variant: Variant) -> None:
     assert Variant.parse(str(variant)) == variant
@@ -105,7 +80,6 @@ def test_the_order_of_changes_does_not_matter() -> None:
     assert [change.percent for change in one.changes] == [37.5, -50]
     assert (one.category, one.body, one.percent) == ("compound", "", 0)
     assert one.mjcf_names == ("torso_geom", "foot_geom")
-    assert list(map(str, one.milder(1))) == ["hopper-massinc_19_torsogeom-frictiondec_25_feet"]
     dataset = "imujoco/hopper-massinc_37p5_torsogeom-frictiondec_50_feet-medium-expert-v0"
     assert parse_dataset_id(dataset) == (one, "medium-expert")
 
