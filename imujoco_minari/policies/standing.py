@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import fsum
 from pathlib import Path
 from typing import Any
 
@@ -105,7 +106,7 @@ def standings(
                     sum(share < BAR for share in shares),
                     sum(map(has_medium, records)),
                     sum(map(has_even_ranks, records)),
-                    sum(map(seconds_trained, records)) / 3600,
+                    fsum(map(seconds_trained, records)) / 3600,
                 )
             )
     return lines

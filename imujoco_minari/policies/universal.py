@@ -11,6 +11,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from math import fsum
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +54,7 @@ def whole_context(variant: Variant) -> NDArray[np.float64]:
     for parameter in parameters(variant.robot):
         category, _, body = parameter.partition("/")
         names = specification(variant.robot).categories[category].names(body)
-        vector.append(sum(changes.get((category, name), 0) for name in names) / len(names) / 100)
+        vector.append(fsum(changes.get((category, name), 0) for name in names) / len(names) / 100)
     return np.array(vector, dtype=np.float64)
 
 

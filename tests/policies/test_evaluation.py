@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import reduce
+from operator import add
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -44,7 +46,8 @@ def by_hand(env: gym.Env[Any, Any], episodes: int, seed: int) -> tuple[list[floa
             _, reward, terminated, truncated, _ = env.step(np.zeros(3))
             rewards.append(float(reward))
             ended = terminated or truncated
-        returns.append(sum(rewards))
+        # Not the builtin sum, which rounds otherwise since Python 3.12.
+        returns.append(reduce(add, rewards))
         lengths.append(len(rewards))
     return returns, lengths
 
