@@ -112,13 +112,11 @@ def _folded_record(variant: Variant, folder: Path | None = None) -> Mapping[str,
         "told": universal.told(variant),
         "weights_sha256": actor.sha256,
     }
-    measured = universal.record["measured"].get(str(variant))
+    record |= universal.record["measured"].get(str(variant), {})
     kept = _measured_file(variant)
-    if measured is None and kept.is_file():
-        measured = _read_record(kept)
-        if measured.get("weights_sha256") != actor.sha256:
-            measured = None
-    return record | dict(measured or {})
+    if kept.is_file() and (measured := _read_record(kept)).get("weights_sha256") == actor.sha256:
+        record |= measured
+    return record
 
 
 def keep_measured(variant: Variant, measured: Mapping[str, Any]) -> None:

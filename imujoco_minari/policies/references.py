@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
+from imujoco_minari.errors import PolicyNotFoundError
 from imujoco_minari.policies.actors import Actor, Policy
 from imujoco_minari.policies.experts import FOLDED, expert_actor, expert_record, keep_measured
 from imujoco_minari.policies.measuring import measure, summary
+from imujoco_minari.policies.rungs import (
+    LADDER_EPISODES,
+    LADDER_SEED,
+    Rung,
+    mean_return,
+    read_rung,
+    rungs_of_robot,
+)
 from imujoco_minari.policies.uniform import random_policy
 from imujoco_minari.variants import Variant
 from imujoco_minari.variants.robots import follows_page
@@ -32,6 +41,35 @@ def measured_record(variant: Variant) -> Mapping[str, Any]:
     measured = evaluations(variant, expert_actor(variant))
     keep_measured(variant, measured)
     return dict(record) | measured
+
+
+def ladder(variant: Variant) -> Sequence[Rung]:
+    """Return the rungs of a variant's ladder, the lowest return first.
+
+    An own expert's record has its ladder. The ladder of a folded expert consists of all rungs that the robot
+    has. They are evaluated on the variant at the first need, and the result is kept beside the user's
+    policies.
+
+    Raises:
+        PolicyNotFoundError: if the variant has no expert, or its robot has no rungs.
+    """
+    record = measured_record(variant)
+    rungs = record.get("ladder", [])
+    if not rungs and record.get("start") == FOLDED:
+        for rung in rungs_of_robot(variant.base):
+            actor = read_rung(variant, rung)
+            rungs.append(rung | {"evaluation": _evaluation(variant, actor, LADDER_SEED, LADDER_EPISODES)})
+        keep_measured(variant, evaluations_of(record) | {"ladder": rungs})
+    if not rungs:
+        raise PolicyNotFoundError(
+            f"no ladder of policies exists for {variant}: `imujoco train {variant}` measures one"
+        )
+    return sorted(rungs, key=mean_return)
+
+
+def evaluations_of(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the part of a record that :func:`evaluations` makes."""
+    return {name: record[name] for name in ("weights_sha256", "evaluation", "random")}
 
 
 def weakness_of(variant: Variant) -> str:
@@ -87,6 +125,6 @@ def random_evaluation(variant: Variant) -> dict[str, Any]:
     return _evaluation(variant, random_policy(variant.robot), 0)
 
 
-def _evaluation(variant: Variant, policy: Policy, seed: int) -> dict[str, Any]:
-    returns, lengths, _ = measure(variant, policy, EPISODES, seed)
+def _evaluation(variant: Variant, policy: Policy, seed: int, episodes: int = EPISODES) -> dict[str, Any]:
+    returns, lengths, _ = measure(variant, policy, episodes, seed)
     return summary(returns, lengths, seed, policy.deterministic)

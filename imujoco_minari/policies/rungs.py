@@ -26,20 +26,8 @@ MEDIUM_RANGE = (1 / 3, 1 / 2)
 # Shares that the rungs of ranked data should have, below the expert, and how far they may be off.
 RANKED_SHARES = (0.8, 0.6, 0.4, 0.2)
 RANKED_TOLERANCE = 0.1
-
-
-def ladder(variant: Variant) -> Sequence[Rung]:
-    """Return the rungs in the variant's training record, the lowest return first.
-
-    Raises:
-        PolicyNotFoundError: if the variant has no record, or its record has no ladder.
-    """
-    rungs = own_record(variant).get("ladder")
-    if not rungs:
-        raise PolicyNotFoundError(
-            f"no ladder of policies exists for {variant}: `imujoco train {variant}` measures one"
-        )
-    return sorted(rungs, key=mean_return)
+# The episodes that measure a rung.
+LADDER_EPISODES, LADDER_SEED = 10, 1_000_004
 
 
 def rungs_of_variants(robot: str, folder: Path | None = None) -> list[dict[str, Any]]:
@@ -56,6 +44,12 @@ def rungs_of_variants(robot: str, folder: Path | None = None) -> list[dict[str, 
         for rung in own_record(variant, folder).get("ladder", ())
         if rung.get("run") == str(variant)
     ]
+
+
+def rungs_of_robot(base: Variant) -> list[dict[str, Any]]:
+    """Return the ``steps`` of all rungs of a robot, and the ``run`` of those that no base's run saved."""
+    own = [{"steps": rung["steps"]} for rung in own_record(base).get("ladder", ())]
+    return own + rungs_of_variants(base.robot)
 
 
 def medium_rung(rungs: Sequence[_Rung], expert_return: float) -> _Rung:

@@ -17,10 +17,9 @@ from imujoco_minari.errors import DatasetError, PolicyNotFoundError, suggestion
 from imujoco_minari.policies.actors import Policy
 from imujoco_minari.policies.experts import expert_actor, universal_policy
 from imujoco_minari.policies.files import read_actor
-from imujoco_minari.policies.references import measured_record
+from imujoco_minari.policies.references import ladder, measured_record
 from imujoco_minari.policies.rungs import (
     RANKED_SHARES,
-    ladder,
     mean_return,
     medium_rung,
     ranked_rungs,

@@ -15,6 +15,8 @@ from typing import Any
 from imujoco_minari.policies import Actor, own_record
 from imujoco_minari.policies.evaluation import evaluate
 from imujoco_minari.policies.rungs import (
+    LADDER_EPISODES,
+    LADDER_SEED,
     MEDIUM_SHARE,
     mean_return,
     medium_rung,
@@ -33,8 +35,7 @@ from imujoco_minari.variants import BASE, Variant
 SHARES = (0.05, 0.15, 0.25, 0.35, 0.45, 0.55, 0.7, 0.85)
 # Shares of the expert's return that the tiers need, and how far a rung may be off.
 NEEDED, TOLERANCE = (MEDIUM_SHARE, 0.8, 0.6, 0.2), 0.08
-EPISODES, MEDIUM_EPISODES = 10, 100
-LADDER_SEED = 1_000_004
+MEDIUM_EPISODES = 100
 # The climb: minutes of a core. The first third of the expert's return takes 30,000 to 130,000 steps.
 CLIMB_STEPS, CLIMB_INTERVAL = 150_000, 2_000
 
@@ -66,7 +67,7 @@ class Ladder:
         known += [{"run": rung["run"], "steps": rung["steps"]} for rung in own if "run" in rung]
         for rung in known:
             actor = read_rung(self.variant, rung, self.policies)
-            self.rungs.append(rung | {"evaluation": self._evaluate(actor, EPISODES)})
+            self.rungs.append(rung | {"evaluation": self._evaluate(actor, LADDER_EPISODES)})
         self._settle_medium()
 
     def add_spread(self, folder: Path, evaluations: Sequence[Mapping[str, Any]]) -> None:
@@ -77,7 +78,7 @@ class Ladder:
             evaluations: the run's evaluations, each with ``steps`` and ``return_mean``.
         """
         for steps in sorted({self._nearest(evaluations, share) for share in SHARES}):
-            self._add_checkpoint(folder, steps, EPISODES)
+            self._add_checkpoint(folder, steps, LADDER_EPISODES)
         self._settle_medium()
 
     def add_missing(self, folder: Path, evaluations: Sequence[Mapping[str, Any]]) -> None:
@@ -94,7 +95,7 @@ class Ladder:
             # Five episodes state a return roughly, so this looks a little further.
             near = [entry for entry in free if self._is_near(entry["return_mean"], share, 2 * TOLERANCE)]
             if near:
-                episodes = MEDIUM_EPISODES if share == MEDIUM_SHARE else EPISODES
+                episodes = MEDIUM_EPISODES if share == MEDIUM_SHARE else LADDER_EPISODES
                 self._add_checkpoint(folder, self._nearest(near, share), episodes, share)
         self._settle_medium()
 
@@ -108,7 +109,7 @@ class Ladder:
                 return
             if rung["run"] == str(self.variant):
                 continue
-            measured = self._evaluate(read_rung(self.variant, rung, self.policies), EPISODES)
+            measured = self._evaluate(read_rung(self.variant, rung, self.policies), LADDER_EPISODES)
             if any(self._is_near(measured["return_mean"], share) for share in self.missing()):
                 self.rungs.append(rung | {"evaluation": measured})
                 self._settle_medium()

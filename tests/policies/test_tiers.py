@@ -15,7 +15,10 @@ from random_actors import random_actor
 from safetensors.numpy import save_file
 
 from imujoco_minari.errors import DatasetError, PolicyNotFoundError, VariantError
-from imujoco_minari.policies import Actor, load_policy, policies_folder
+from imujoco_minari.policies import Actor, load_policy, policies_folder, references
+from imujoco_minari.policies.evaluation import evaluate
+from imujoco_minari.policies.experts import expert_record
+from imujoco_minari.policies.rungs import LADDER_SEED, mean_return, medium_rung, read_rung
 from imujoco_minari.policies.tiers import parts
 from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.variants import Variant
@@ -147,6 +150,23 @@ def test_a_ranked_dataset_is_sound_and_carries_rank_and_return_and_the_same_with
     assert again.content_sha256 == outcome.content_sha256
 
 
+def test_a_folded_expert_has_a_ladder_that_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    variant = Variant.parse("hopper-massdec_13_footgeom")
+    monkeypatch.setattr(references, "EPISODES", 2)
+    monkeypatch.setattr(references, "LADDER_EPISODES", 1)
+    rungs = references.ladder(variant)
+    assert len(rungs) >= len(expert_record(Variant("hopper"))["ladder"]) > 5
+    for rung in (rungs[0], rungs[-1]):
+        again = evaluate(variant, read_rung(variant, rung), episodes=1, seed=LADDER_SEED)
+        assert again.return_mean == rung["evaluation"]["return_mean"]
+    returns = [mean_return(rung) for rung in rungs]
+    assert returns == sorted(returns)
+    (policy,) = (part.policy for part in parts(variant, "medium", 4, path=None, stochastic=False))
+    assert policy.sha256 == read_rung(variant, medium_rung(rungs, mean_return(expert_record(variant)))).sha256
+    monkeypatch.setattr(references, "measure", None)
+    assert references.ladder(variant) == rungs
+
+
 def test_a_tier_that_cannot_be_made_says_what_can() -> None:
     with pytest.raises(
         PolicyNotFoundError,
@@ -157,7 +177,5 @@ def test_a_tier_that_cannot_be_made_says_what_can() -> None:
         made("replay", 1)
     with pytest.raises(PolicyNotFoundError, match=r"with `imujoco publish \S+ --tier medium-replay`"):
         made("medium-replay", 1)
-    with pytest.raises(
-        PolicyNotFoundError, match="no ladder of policies exists for walker2d-massinc_7_leggeom"
-    ):
-        parts(Variant.parse("walker2d-massinc_7_leggeom"), "medium", 1, path=None, stochastic=False)
+    with pytest.raises(PolicyNotFoundError, match="no ladder of policies exists for ant-base"):
+        parts(Variant("ant"), "medium", 1, path=None, stochastic=False)
