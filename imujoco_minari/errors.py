@@ -53,7 +53,15 @@ class PolicyError(ImujocoError, ValueError):
     """A policy file that cannot be read, or that does not fit the robot."""
 
 
-class PolicyWarning(UserWarning):
+class ImujocoWarning(UserWarning):
+    """The base class of the warnings. The command line prints them as notes."""
+
+
+class CatalogueWarning(ImujocoWarning):
+    """A page of a robot that is left out because of a fault in it."""
+
+
+class PolicyWarning(ImujocoWarning):
     """A policy that falls or scores low, before its episodes are published."""
 
 

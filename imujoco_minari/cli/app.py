@@ -20,7 +20,7 @@ from typing import Annotated, Any, Protocol, TypeVar
 import typer
 
 from imujoco_minari.cli.printing import fail, out, print_json, progress, say, with_name
-from imujoco_minari.errors import ImujocoError, PolicyWarning
+from imujoco_minari.errors import ImujocoError, ImujocoWarning
 
 # Help is plain text: Markdown and Rich's markup take `<variant>` and `[DIR]` for tags and drop them.
 app = typer.Typer(
@@ -61,7 +61,7 @@ def main() -> None:
     _name_glfw_library()
     shown = warnings.showwarning
     warnings.showwarning = lambda message, kind, *rest: (
-        say(f"note: {message}") if issubclass(kind, PolicyWarning) else shown(message, kind, *rest)
+        say(f"note: {message}") if issubclass(kind, ImujocoWarning) else shown(message, kind, *rest)
     )
     try:
         code = run(sys.argv[1:])

@@ -53,14 +53,16 @@ def model_differences(before: mujoco.MjModel, after: mujoco.MjModel) -> list[Dif
 def _quantities(before: mujoco.MjModel, after: mujoco.MjModel) -> Iterator[tuple[str, float, float, str]]:
     for body in map(before.body, range(1, before.nbody)):
         yield f"mass of {_name(before, body)}", body.mass[0], _same(after.body, body).mass[0], "kg"
+    has_floor = mujoco.mj_name2id(before, mujoco.mjtObj.mjOBJ_GEOM, "floor") >= 0
     for geom in map(before.geom, range(before.ngeom)):
         name, twin = geom.name or _name(before, before.body(geom.bodyid[0])), _same(after.geom, geom)
         if geom.type[0] == mujoco.mjtGeom.mjGEOM_CAPSULE:
             yield f"length of {name}", 2 * geom.size[1], 2 * twin.size[1], "m"
         if geom.type[0] != mujoco.mjtGeom.mjGEOM_PLANE:
             yield f"radius of {name}", geom.size[0], twin.size[0], "m"
-            first, second = _friction(before, geom.id), _friction(after, twin.id)
-            yield f"friction of {name} on floor", first, second, "1"
+            if has_floor:
+                first, second = _friction(before, geom.id), _friction(after, twin.id)
+                yield f"friction of {name} on floor", first, second, "1"
     for joint in map(before.joint, range(before.njnt)):
         twin = _same(after.joint, joint)
         for side, end in (("lower", 0), ("upper", 1)):

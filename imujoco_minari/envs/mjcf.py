@@ -170,7 +170,7 @@ def _edited(variant: Variant) -> _Edited:
         for change in variant.changes:
             names = change.mjcf_names(variant.robot)
             BY_NAME[change.category].apply(Edit(spec, names, change.factor, page, base))
-        if any(BY_NAME[change.category].moves_limbs for change in variant.changes):
+        if page.root_joints and any(BY_NAME[change.category].moves_limbs for change in variant.changes):
             shift = _stand(spec, _clearance(text))
         return _Edited(spec, spec.compile(), shift)
     except ModelError as error:

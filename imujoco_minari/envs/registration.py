@@ -7,6 +7,7 @@ their models. So a spec that a dataset stores works on any machine that has this
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from typing import Any
 import gymnasium as gym
 from gymnasium.envs.registration import EnvSpec, registry
 
-from imujoco_minari.errors import VariantError
+from imujoco_minari.errors import CatalogueWarning, ImujocoError, VariantError
 from imujoco_minari.variants import (
     BASE,
     NAMESPACE,
@@ -23,12 +24,11 @@ from imujoco_minari.variants import (
     catalogue,
     held_out_names,
     known_robots,
-    load_pages,
     specification,
 )
 from imujoco_minari.variants.original import ORIGINAL, OriginalVariant
 from imujoco_minari.variants.ranges import RANDOMISED, UNIFORM, Ranges, drawing_ranges
-from imujoco_minari.variants.robots import forget_on_error
+from imujoco_minari.variants.robots import forget_on_error, keep_fault, load_page, page_files
 
 MAX_EPISODE_STEPS = 1000
 
@@ -37,6 +37,19 @@ _COLLECTION = f"{_MODULE}:CollectionEnv"
 _RANDOMISED = f"{_MODULE}:RandomisedEnv"
 # Datasets that were published before VariantEnv took a text store these.
 _EARLIER = re.compile(r"imujoco_minari\.importing\.environments:Original(\w+)Env", re.ASCII)
+
+
+def max_episode_steps(robot: str) -> int | None:
+    """Return the number of steps after which an episode of a robot is truncated; None if no number does.
+
+    The robot's page states it, or else it is that of Gymnasium's environment.
+
+    Raises:
+        VariantError: when there is no such robot.
+    """
+    page = specification(robot)
+    stock = registry.get(page.environment)
+    return page.max_episode_steps or (None if stock is None else stock.max_episode_steps)
 
 
 def environment_spec(variant: Variant | str, mjcf: str | None = None) -> EnvSpec:
@@ -60,7 +73,7 @@ def environment_spec(variant: Variant | str, mjcf: str | None = None) -> EnvSpec
     return EnvSpec(
         id=variant.environment_id,
         entry_point=_entry_point(variant.robot),
-        max_episode_steps=MAX_EPISODE_STEPS,
+        max_episode_steps=max_episode_steps(variant.robot),
         kwargs={"variant": str(variant)} | ({} if mjcf is None else {"mjcf": mjcf}) | _page(variant.robot),
     )
 
@@ -80,7 +93,7 @@ def collection_spec(
     return EnvSpec(
         id=f"{ORIGINAL if models else NAMESPACE}/{name}-v0",
         entry_point=_COLLECTION,
-        max_episode_steps=MAX_EPISODE_STEPS,
+        max_episode_steps=max_episode_steps(ids[0].partition("-")[0]) if ids else None,
         kwargs={"models": {variant: models[variant] for variant in ids}}
         if models
         else {"variants": ids} | page,
@@ -97,7 +110,7 @@ def _randomised_spec(robot: str, arguments: Mapping[str, Any]) -> EnvSpec:
     return EnvSpec(
         id=f"{NAMESPACE}/{robot}-{RANDOMISED}-v0",
         entry_point=_RANDOMISED,
-        max_episode_steps=MAX_EPISODE_STEPS,
+        max_episode_steps=max_episode_steps(robot),
         kwargs={"robot": robot, **arguments, **_page(robot)},
     )
 
@@ -225,7 +238,8 @@ def load_catalogue(path: str | Path) -> tuple[str, ...]:
     """Make robots of the user known: register the variants of their pages, as those of the package are.
 
     A page is a file ``<robot>.toml``, and its MJCF file lies beside it. A dataset of such a robot stores
-    both, so its environment can be recovered on machines that have neither.
+    both, so its environment can be recovered on machines that have neither. A page with a fault does not
+    stop the others of its folder: its robot is left out with a :class:`CatalogueWarning`.
 
     Args:
         path: a folder with pages, or a page.
@@ -234,9 +248,9 @@ def load_catalogue(path: str | Path) -> tuple[str, ...]:
         The names of the robots.
 
     Raises:
-        CatalogueError: when there is no page, a page or its model cannot be read, a page is wrong, or
+        CatalogueError: when there is no page, or each page or its model cannot be read, is wrong, or
             another page of the robot is loaded.
-        ModelError: when a model is refused or does not compile.
+        ModelError: when each model is refused or does not compile.
 
     Example:
         >>> load_catalogue("my-robots")  # doctest: +SKIP
@@ -244,16 +258,28 @@ def load_catalogue(path: str | Path) -> tuple[str, ...]:
     """
     from imujoco_minari.envs.mjcf import check_robot
 
+    names: list[str] = []
+    faults: dict[str, ImujocoError] = {}
     with forget_on_error():
-        names = load_pages(path)
-        for robot in names:
-            check_robot(robot)
-            # This checks the splits of the page.
-            held_out_names(robot)
-            make(f"{robot}-{BASE}").close()
+        for robot, file in page_files(path).items():
+            try:
+                with forget_on_error():
+                    load_page(robot, file)
+                    check_robot(robot)
+                    # This checks the splits of the page.
+                    held_out_names(robot)
+                    make(f"{robot}-{BASE}").close()
+                names.append(robot)
+            except ImujocoError as fault:
+                faults[robot] = fault
+        if not names:
+            raise next(iter(faults.values()))
+    for robot, fault in faults.items():
+        keep_fault(robot, str(fault))
+        warnings.warn(f"the robot {robot} is left out: {fault}", CatalogueWarning, stacklevel=2)
     for robot in names:
         _register_robot(robot)
-    return names
+    return tuple(names)
 
 
 def _register_robot(robot: str) -> None:

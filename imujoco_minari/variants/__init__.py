@@ -23,7 +23,6 @@ from imujoco_minari.variants.robots import (
     carried_page,
     forget_page,
     known_robots,
-    load_pages,
     specification,
 )
 from imujoco_minari.variants.splits import HeldOut, held_out, held_out_names
@@ -51,7 +50,6 @@ __all__ = [
     "held_out",
     "held_out_names",
     "known_robots",
-    "load_pages",
     "parse_dataset_id",
     "parse_specification",
     "specification",

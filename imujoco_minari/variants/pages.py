@@ -5,6 +5,7 @@ It knows nothing of MuJoCo.
 
 from __future__ import annotations
 
+import math
 import re
 import tomllib
 from collections.abc import Callable, Mapping
@@ -76,7 +77,8 @@ class RobotSpecification:
         action_size: length of an action.
         action_bound: largest absolute value of an action's entry.
         steps_per_second: environment steps in one simulated second.
-        root_joints: MJCF names of the joints that move the torso.
+        max_episode_steps: steps after which an episode is truncated; None for the environment's own limit.
+        root_joints: MJCF names of the joints that move the torso; empty for a robot that is fixed.
         feet: MJCF names of the geoms that stand on the floor.
         healthy_z_range: torso heights (m) outside which an episode ends; None where no height ends it.
         reward: the constants of its reward; None where the reward has another formula.
@@ -95,6 +97,7 @@ class RobotSpecification:
     action_size: int
     action_bound: float
     steps_per_second: float
+    max_episode_steps: int | None
     root_joints: tuple[str, ...]
     feet: tuple[str, ...]
     healthy_z_range: tuple[float, float] | None
@@ -156,7 +159,8 @@ def parse_specification(text: str, name: str) -> RobotSpecification:
         action_size=page.value("action_size", _COUNT),
         action_bound=page.value("action_bound", _SIZE, 1.0),
         steps_per_second=page.value("steps_per_second", _SIZE),
-        root_joints=page.names("root_joints"),
+        max_episode_steps=page.value("max_episode_steps", _COUNT) if "max_episode_steps" in data else None,
+        root_joints=page.names("root_joints", least=0),
         feet=feet,
         healthy_z_range=page.healthy_z_range(),
         reward=page.reward(),
@@ -191,11 +195,13 @@ class _Page:
             raise self._error(f"{key} must be {name}")
         return value
 
-    def names(self, key: str) -> tuple[str, ...]:
-        return self._names(self._data.get(key), key)
+    def names(self, key: str, least: int = 1) -> tuple[str, ...]:
+        return self._names(self._data.get(key), key, least)
 
     def numbers(self, key: str) -> Mapping[str, float]:
         table = self._table(key, "numbers", int, float)
+        if not all(map(math.isfinite, table.values())):
+            raise self._error(f"[{key}] must hold finite numbers")
         return MappingProxyType({item: float(value) for item, value in table.items()})
 
     def tables(self, key: str, item: str) -> Mapping[str, Mapping[str, Any]]:
@@ -210,8 +216,10 @@ class _Page:
             not isinstance(z_range, list)
             or len(z_range) != 2
             or not all(isinstance(z, float) for z in z_range)
+            # It is false for nan too.
+            or not z_range[0] < z_range[1]
         ):
-            raise self._error("healthy_z_range must be two floats, in metres")
+            raise self._error("healthy_z_range must be two floats, in metres, the lower one first")
         return z_range[0], z_range[1]
 
     def reward(self) -> Reward | None:
@@ -265,9 +273,11 @@ class _Page:
             raise self._error(f"[{key}] must hold {content}")
         return table
 
-    def _names(self, value: Any, key: str) -> tuple[str, ...]:
-        if not isinstance(value, list) or not value or not all(isinstance(item, str) for item in value):
+    def _names(self, value: Any, key: str, least: int = 1) -> tuple[str, ...]:
+        if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
             raise self._error(f"{key} must be a list of names")
+        if len(value) < least:
+            raise self._error(f"{key} must have at least one name")
         return tuple(value)
 
     def _error(self, message: str) -> CatalogueError:

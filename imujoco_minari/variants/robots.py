@@ -35,6 +35,8 @@ def specification(robot: str) -> RobotSpecification:
     Raises:
         VariantError: when there is no such robot.
     """
+    if isinstance(robot, str) and robot in _FAULTS:
+        raise CatalogueError(_FAULTS[robot])
     if not isinstance(robot, str) or robot not in _PAGES:
         shown = clipped(robot)
         raise VariantError(f"unknown robot {shown!r}{suggestion(shown, _PAGES)}; valid: {', '.join(_PAGES)}")
@@ -46,41 +48,44 @@ def known_robots() -> tuple[str, ...]:
     return tuple(_PAGES)
 
 
-def load_pages(path: str | Path) -> tuple[str, ...]:
-    """Make the robots known that have a page in a folder, or the robot of one page.
-
-    The file name of a page without ``.toml`` is the name of its robot. The page's ``model`` is an MJCF file
-    beside it, or one of Gymnasium's.
-
-    Args:
-        path: a folder with pages, or a page.
-
-    Returns:
-        The names of the robots.
+def page_files(path: str | Path) -> dict[str, Path]:
+    """Return robot -> page for the pages in a folder, or for one page.
 
     Raises:
-        CatalogueError: when there is no page, a page or its model cannot be read, a page is wrong, or
-            another page of the robot is loaded.
+        CatalogueError: when there is no page.
     """
     path = as_path(path)
     files = sorted(path.glob("*.toml")) if path.is_dir() else [path]
     if not files:
         raise CatalogueError(f"{path}: no page of a robot is here; a page is a file <robot>.toml")
+    return {file.name.removesuffix(".toml"): file for file in files}
+
+
+def load_page(robot: str, file: Path) -> None:
+    """Make a robot known by its page. The page's ``model`` is an MJCF file beside it, or one of Gymnasium's.
+
+    Raises:
+        CatalogueError: when the page or its model cannot be read, the page is wrong, or another page of the
+            robot is loaded.
+    """
     # Only pages of users need an XML parser, which takes time to import.
     from imujoco_minari.variants.includes import read_model
 
-    for file in files:
-        try:
-            text = file.read_text("utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise CatalogueError(f"{file}: cannot be read: {error}") from None
-        robot = file.name.removesuffix(".toml")
-        page = {"toml": text}
-        model = file.with_name(_parse(robot, page, str(file)).model)
-        if model.is_file():
-            page["mjcf"] = read_model(model)
-        adopt_page(robot, page, str(file))
-    return tuple(file.name.removesuffix(".toml") for file in files)
+    try:
+        text = file.read_text("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise CatalogueError(f"{file}: cannot be read: {error}") from None
+    page = {"toml": text}
+    model = file.with_name(_parse(robot, page, str(file)).model)
+    if model.is_file():
+        page["mjcf"] = read_model(model)
+    adopt_page(robot, page, str(file))
+
+
+def keep_fault(robot: str, fault: str) -> None:
+    """Keep what is wrong with a robot's page: :func:`specification` says it where the robot is asked for."""
+    if robot not in _PAGES:
+        _FAULTS[robot] = fault
 
 
 def adopt_page(robot: str, page: Mapping[str, str], name: str = "") -> None:
@@ -104,6 +109,7 @@ def adopt_page(robot: str, page: Mapping[str, str], name: str = "") -> None:
             f"{name}: another page of the robot {robot} is loaded; give the robot another name"
         )
     _PAGES[robot] = parsed
+    _FAULTS.pop(robot, None)
     _CARRIED[robot] = MappingProxyType(dict(page))
 
 
@@ -176,6 +182,8 @@ def _shipped_pages() -> dict[str, RobotSpecification]:
 _PAGES = _shipped_pages()
 # Robot -> the texts of its page, for robots that the package does not ship.
 _CARRIED: dict[str, Mapping[str, str]] = {}
+# Robot -> what is wrong with its page, for robots that are not known therefore.
+_FAULTS: dict[str, str] = {}
 # The functions whose caches are cleared when a page is forgotten.
 _FOLLOWING: list[_Cached] = []
 # The robots that the catalogue lists. Their variants are the 154.

@@ -307,8 +307,10 @@ def test_an_original_is_drawn_by_its_own_model(name: str) -> None:
     coloured = [i for i in range(scene.ngeom) if np.allclose(scene.geom_rgba[i][:3], COLOURS["mass"])]
     # Our catalogue does not know the walker's foot as a body for friction, so nothing is coloured.
     assert [scene.geom(i).name for i in coloured] == (["leg_geom"] if variant.ours else [])
-    with pytest.raises(RenderingError, match="no geom 'floor'"):
-        scene_model(variant, text.replace('name="floor"', 'name="ground"'), width=320, height=240)
+    renamed = text.replace('name="floor"', 'name="ground"')
+    assert scene_model(variant, renamed, width=320, height=240).geom("ground").matid[0] >= 0
+    with pytest.raises(RenderingError, match="no floor, a geom that is a plane"):
+        scene_model(variant, renamed.replace('type="plane"', 'type="box"'), width=320, height=240)
 
 
 def test_a_departure_names_the_quantities() -> None:

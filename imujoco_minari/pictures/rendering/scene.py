@@ -47,16 +47,19 @@ def scene_model(
         fine: smooth edges and sharp shadows, at twice the time.
 
     Raises:
-        RenderingError: if the model has no geom ``floor``, as a variant of the archive may.
+        RenderingError: if the model has no floor, as a variant of the archive may.
     """
     spec = mujoco.MjSpec.from_string(model_text(variant, mjcf))
-    if spec.geom("floor") is None:
-        raise RenderingError(f"{variant} cannot be drawn: its model has no geom 'floor'")
-    _replace_surroundings(spec, fine)
+    # Gymnasium's arms stand on planes of other names.
+    planes = (geom for geom in spec.worldbody.geoms if geom.type == mujoco.mjtGeom.mjGEOM_PLANE)
+    floor = spec.geom("floor") or next(planes, None)
+    if floor is None:
+        raise RenderingError(f"{variant} cannot be drawn: its model has no floor, a geom that is a plane")
+    _replace_surroundings(spec, floor, fine)
     spec.visual.global_.fovy = FIELD_OF_VIEW
     spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
     for geom in spec.geoms:
-        if geom.name != "floor":
+        if geom != floor:
             geom.material = ""
             geom.rgba = [*(FAR if "left" in geom.name else NEAR), 1.0]
     # The mark of a joint also tints the limb, so it comes before the colours of limbs.
@@ -94,7 +97,7 @@ def _mark_joint(joint: mujoco.MjsJoint, colour: Colour) -> None:
     )
 
 
-def _replace_surroundings(spec: mujoco.MjSpec, fine: bool) -> None:
+def _replace_surroundings(spec: mujoco.MjSpec, floor: mujoco.MjsGeom, fine: bool) -> None:
     """Replace floor, sky and light by those that all three robots share."""
     for element in (*spec.textures, *spec.materials, *spec.lights):
         if element.name != "floor":
@@ -120,7 +123,6 @@ def _replace_surroundings(spec: mujoco.MjSpec, fine: bool) -> None:
     tiles = spec.add_material(name="tiles", texuniform=True, texrepeat=[0.5 / TILE, 0.5 / TILE])
     tiles.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
     tiles.specular, tiles.shininess = 0.0, 0.0
-    floor = spec.geom("floor")
     floor.material, floor.rgba = "tiles", [1.0, 1.0, 1.0, 1.0]
     # Extents of zero draw an infinite floor. A cheetah runs far beyond the 40 m of its own floor.
     floor.size = [0.0, 0.0, 0.05]
