@@ -274,9 +274,9 @@ def load_catalogue(path: str | Path) -> tuple[str, ...]:
                 faults[robot] = fault
         if not names:
             raise next(iter(faults.values()))
-    for robot, fault in faults.items():
-        keep_fault(robot, str(fault))
-        warnings.warn(f"the robot {robot} is left out: {fault}", CatalogueWarning, stacklevel=2)
+    for robot, reason in faults.items():
+        keep_fault(robot, str(reason))
+        warnings.warn(f"the robot {robot} is left out: {reason}", CatalogueWarning, stacklevel=2)
     for robot in names:
         _register_robot(robot)
     return tuple(names)
