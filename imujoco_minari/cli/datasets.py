@@ -77,6 +77,7 @@ def publish_datasets(
     `imujoco publish walker2d-base --tier mine --policy sac.zip`
     """
     from imujoco_minari.publishing.recipes import Recipe
+    from imujoco_minari.publishing.sizes import check_space
 
     if policy is not None and not tiers:
         raise typer.BadParameter("--policy needs a --tier, which names the dataset: for example --tier mine")
@@ -93,6 +94,7 @@ def publish_datasets(
         if dry_run:
             gather(planned, _describe_planned, as_json=as_json)
             return
+        check_space(counted(len(recipes), "dataset"), sum(each.bytes for each in planned))
     gather(_published(recipes, jobs, backend, force, quiet=as_json), describe_published, as_json=as_json)
 
 

@@ -9,19 +9,16 @@ from typing import TYPE_CHECKING
 
 from imujoco_minari.cli.printing import counted
 from imujoco_minari.errors import DatasetError, ImujocoError, clipped
-from imujoco_minari.policies import expert_record, own_record
+from imujoco_minari.policies import own_record
 from imujoco_minari.policies.tiers import MEDIUM_REPLAY
 from imujoco_minari.storage import minari_root
-from imujoco_minari.variants import BASE, EXPERT, Variant, parse_dataset_id, specification
+from imujoco_minari.variants import BASE, Variant, parse_dataset_id, specification
 
 if TYPE_CHECKING:
     from imujoco_minari.publishing.recipes import Recipe
 
-# Publishing: an episode has its groups, digests and metadata beside its steps.
-BYTES_PER_EPISODE = 4500
+# Publishing.
 SECONDS_PER_STEP, SECONDS_PER_EPISODE = 1.1e-4, 5e-3
-# The time limit, for policies with no record of how long their episodes are.
-STEPS_PER_EPISODE = 1000
 # The training run of medium-replay: means over the three bases.
 STEPS_TO_MEDIUM, SECONDS_PER_TRAINING_STEP = 100_000, 2.6e-3
 # Training: means over the shipped experts. A base comes with its whole agent and its ladder.
@@ -59,34 +56,22 @@ class Planned:
 
 def plan(recipe: Recipe, *, force: bool = False) -> Planned:
     """Return what publishing a recipe would do, without doing it."""
+    from imujoco_minari.publishing.sizes import bytes_per_step, expected_bytes, steps_per_episode
+
     exists = minari_root.exists(recipe.dataset_id)
     if exists and not force:
         return Planned(recipe.dataset_id, "leave alone")
     action = "replace" if exists else "publish"
     if recipe.tier == MEDIUM_REPLAY:
-        size = STEPS_TO_MEDIUM * _bytes_per_step(recipe.nominal)
+        size = STEPS_TO_MEDIUM * bytes_per_step(recipe.nominal)
         return Planned(recipe.dataset_id, action, 0, size, STEPS_TO_MEDIUM * SECONDS_PER_TRAINING_STEP)
     try:
         recipe.parts()
     except ImujocoError as error:
         return Planned(recipe.dataset_id, error=str(error), missing=error.missing)
-    steps = recipe.episodes * _steps_per_episode(recipe)
-    size = round(steps * _bytes_per_step(recipe.nominal) + recipe.episodes * BYTES_PER_EPISODE)
+    steps = recipe.episodes * steps_per_episode(recipe)
     seconds = steps * SECONDS_PER_STEP + recipe.episodes * SECONDS_PER_EPISODE
-    return Planned(recipe.dataset_id, action, recipe.episodes, size, seconds)
-
-
-def _bytes_per_step(variant: Variant) -> int:
-    """Return the size of a step: observations and rewards are 8 bytes a number, actions 4, the flags 1."""
-    observation, action = specification(variant.robot).sizes
-    return 8 * observation + 4 * action + 10
-
-
-def _steps_per_episode(recipe: Recipe) -> float:
-    """Return the mean length of an episode by the record of the expert, or else the time limit."""
-    key = {EXPERT: "evaluation", "random": "random"}.get(recipe.tier) if recipe.policy is None else None
-    evaluation = expert_record(recipe.nominal).get(key or "", {})
-    return float(evaluation.get("length_mean", STEPS_PER_EPISODE))
+    return Planned(recipe.dataset_id, action, recipe.episodes, expected_bytes(recipe), seconds)
 
 
 def publishing_line(planned: Sequence[Planned], jobs: int) -> str:

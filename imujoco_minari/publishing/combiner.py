@@ -20,6 +20,7 @@ from minari.dataset.minari_storage import MinariStorage
 
 from imujoco_minari.envs.registration import dataset_name, dataset_spec, stored_models
 from imujoco_minari.errors import ArgumentError, DatasetError, DatasetExistsError, ImujocoError
+from imujoco_minari.publishing.sizes import check_space
 from imujoco_minari.publishing.sources import Source, check_sources, open_source
 from imujoco_minari.publishing.staleness import check_current
 from imujoco_minari.storage import copying, file_format, minari_root, transactions
@@ -77,6 +78,8 @@ def combine_datasets(
     if taken and not force:
         check_current(new_dataset_id, sources, link=link)
         return _load(folder)
+    if not link:
+        check_space(new_dataset_id, sum(source.bytes for source in sources))
     with transactions.staging(new_dataset_id) as staging_folder:
         staged = staging_folder / "dataset"
         staged.mkdir()

@@ -26,6 +26,7 @@ from imujoco_minari.policies.tiers import MEDIUM_REPLAY
 from imujoco_minari.publishing.new_dataset import NewDataset, Published, find_published, publish_written
 from imujoco_minari.publishing.recipes import Recipe, algorithms, description
 from imujoco_minari.publishing.shares import OnEpisode, record_shares
+from imujoco_minari.publishing.sizes import check_space, expected_bytes
 from imujoco_minari.publishing.training_data import record_medium_replay
 from imujoco_minari.storage.metadata import provenance
 from imujoco_minari.variants import EXPERT, Ranges, Variant
@@ -138,6 +139,7 @@ def publish_recipe(
     stated = recipe.stated(made_by)
     if found := find_published(recipe.dataset_id, stated, force=force):
         return found
+    check_space(recipe.dataset_id, expected_bytes(recipe))
     start = time.monotonic()
     references = {} if isinstance(recipe.variant, Ranges) else reference_scores(recipe.variant)
     told = recipe.told(made_by)

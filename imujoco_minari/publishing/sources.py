@@ -46,6 +46,12 @@ class Source:
     env_spec: EnvSpec | None
 
     @property
+    def bytes(self) -> int:
+        """About how many bytes the episodes take."""
+        share = len(self.episodes) / max(1, int(self.metadata["total_episodes"]))
+        return round(share * self.file.stat().st_size)
+
+    @property
     def file(self) -> Path:
         """The HDF5 file of the dataset."""
         return file_format.main_file(self.data)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+import shutil
 from importlib import import_module
 from pathlib import Path
 from pkgutil import walk_packages
@@ -14,8 +15,10 @@ import numpy as np
 import pytest
 
 import imujoco_minari
-from imujoco_minari import arrays, publish, randomised
-from imujoco_minari.errors import DatasetError, VariantError
+from imujoco_minari import arrays, combine_datasets, publish, randomised
+from imujoco_minari.errors import DatasetError, StorageError, VariantError
+from imujoco_minari.publishing import publisher
+from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.variants.ranges import drawing_ranges
 
 
@@ -77,3 +80,21 @@ def test_several_variants_are_published_at_once(root: Path) -> None:
         publish(["hopper-base", "hopper-massdec_25_legeom"], tier="random", episodes=2)
     with pytest.raises(DatasetError, match="is already published, but differs"):
         publish(ids, tier="random", episodes=3)
+
+
+def test_a_full_disk_is_noticed_before_any_episode(monkeypatch: pytest.MonkeyPatch) -> None:
+    names = ["hopper-base", "hopper-massdec_25_leggeom"]
+    made = [publish(name, tier="random", episodes=3).dataset_id for name in names]
+    sizes = [file_format.main_file(minari_root.dataset_folder(each) / "data").stat().st_size for each in made]
+    free = shutil.disk_usage("/")._replace(free=40_000)
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: free)
+    assert min(sizes) < 40_000 < sum(sizes)
+    assert publish("hopper-base", tier="random", episodes=3, force=True)
+    with monkeypatch.context() as patch:
+        patch.setattr(publisher, "record_shares", None)
+        with pytest.raises(StorageError, match=r"hopper-base-v0: about 11\.\d MB needed, 0\.0 MB free"):
+            publish("hopper-base")
+    with pytest.raises(StorageError, match=r"me/two-v0: about 0\.\d MB needed"):
+        combine_datasets(made, "me/two-v0")
+    assert combine_datasets(made, "me/linked-v0", link=True).total_episodes == 6
+    assert not minari_root.exists("me/two-v0")
