@@ -39,6 +39,7 @@ from imujoco_minari.training.plan import Plan
 from imujoco_minari.training.sweep import Trained, lock_folder
 from imujoco_minari.variants import Change, Variant, catalogue
 from imujoco_minari.variants.context import parameters
+from imujoco_minari.variants.off_dynamics import off_dynamics, off_dynamics_names
 from imujoco_minari.variants.ranges import drawing_ranges
 
 # Drawn variants that are distilled beside the listed ones, and the least share of their teachers.
@@ -239,7 +240,7 @@ def _record(
     settings: UniversalSettings,
     seconds: float,
 ) -> dict[str, Any]:
-    """Return the record of a universal policy, with its evaluation in every listed variant."""
+    """Return the record of a universal policy, with its evaluations in the variants that the docs list."""
     ranges = json.loads((folder / "ranges.json").read_text("utf-8"))
     low, high = (np.array([ranges[name][side] for name in parameters(robot)]) / 100 for side in (0, 1))
     floats = {name: array.astype(np.float32) for name, array in weights.items()}
@@ -255,7 +256,12 @@ def _record(
         "wall_seconds": round(seconds, 1),
         "versions": {name: version(name) for name in ("mujoco", "gymnasium", "jax", "sbx-rl", "numpy")},
         "measured": {
-            str(variant): evaluations(variant, policy.fold(variant))
-            for variant in (Variant(robot), *catalogue(robot))
+            str(variant): evaluations(variant, policy.fold(variant)) for variant in measured_variants(robot)
         },
     }
+
+
+def measured_variants(robot: str) -> list[Variant]:
+    """Return the variants in which a universal policy is evaluated: base, catalogue, targets of ODRL."""
+    targets = [off_dynamics(name).target for name in off_dynamics_names(robot)]
+    return list(dict.fromkeys([Variant(robot), *catalogue(robot), *targets]))
