@@ -24,9 +24,16 @@ PUBLISHED = Path(__file__).with_name("published.json")
 MAX_BYTES, MAX_LINE, MAX_FAULTS = 2**23, 2**17, 50
 # The versions that decide the data and the episodes. A method need not use the others.
 VERSIONS = ("imujoco-minari", "mujoco", "gymnasium", "numpy")
-_FEW = {"method": str, "split": str, "tier": str, "variant": str, "budget": str, "train_sha256": str}
-_OFFLINE = {"method": str, "robot": str, "tier": str, "checkpoints": list, "variants": list}
-_BOTH = {"seed": int, "episodes": int, "settings": dict, "versions": dict, "results": dict}
+_FEW: dict[str, type] = {
+    "method": str,
+    "split": str,
+    "tier": str,
+    "variant": str,
+    "budget": str,
+    "train_sha256": str,
+}
+_OFFLINE: dict[str, type] = {"method": str, "robot": str, "tier": str, "checkpoints": list, "variants": list}
+_BOTH: dict[str, type] = {"seed": int, "episodes": int, "settings": dict, "versions": dict, "results": dict}
 _BOTH |= {"data_sha256": str, "policies_sha256": str}
 # What the check of whole splits needs of a line. The rest of an untrusted line may be large.
 _KEPT = (
@@ -160,7 +167,7 @@ def offline_fault(line: Mapping[str, Any]) -> list[str]:
     return list(dict.fromkeys(found))
 
 
-def _shape(line: Mapping[str, Any], kinds: Mapping[str, type], name: str) -> list[str]:
+def _shape(line: Mapping[str, Any], kinds: dict[str, type], name: str) -> list[str]:
     """Return faults of the keys, types and protocol."""
     if line.get("protocol") != name:
         return [f"the protocol is {_shown(line.get('protocol'))}, not {name}"]
@@ -214,7 +221,7 @@ def _shown(value: object) -> str:
 
 def _finite(value: object) -> bool:
     # An integer of many digits is no return, and cannot become a float.
-    return type(value) in (int, float) and abs(value) < 1e12 and math.isfinite(value)  # type: ignore[arg-type,operator]
+    return type(value) in (int, float) and abs(value) < 1e12 and math.isfinite(value)  # type: ignore[arg-type]
 
 
 def _settings(lines: Sequence[Line]) -> Iterator[str]:

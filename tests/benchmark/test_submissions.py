@@ -10,6 +10,7 @@ import pytest
 
 from imujoco_minari.benchmark import few_shot, offline
 from imujoco_minari.benchmark.lines import read_lines
+from imujoco_minari.benchmark.page import read_results, results_page
 from imujoco_minari.benchmark.submissions import (
     MAX_BYTES,
     MAX_LINE,
@@ -150,3 +151,19 @@ def test_the_command_prints_the_faults(
     assert run(["benchmark", "check", str(tmp_path), "--json"]) == 1
     answer = json.loads(capsys.readouterr().out)
     assert (answer["whole"], len(answer["faults"])) == (False, 1)
+
+
+def test_the_page_marks_lines_of_others_and_refuses_faulty_ones(
+    whole: list[dict[str, Any]], tmp_path: Path
+) -> None:
+    written(tmp_path, whole)
+    own = tmp_path / "others" / "mine"
+    own.mkdir(parents=True)
+    written(own, whole)
+    results = read_results(tmp_path)
+    page = results_page(results, results.scores())
+    assert "| mine † | 2000 |" in page
+    assert "† a method of others" in page
+    written(own, whole[1:])
+    with pytest.raises(BenchmarkError, match=r"mine: few-shot.jsonl: hopper-random-v1, expert: lacks"):
+        read_results(tmp_path)
