@@ -10,6 +10,7 @@ from imujoco_minari.benchmark.methods import COMPARISONS
 from imujoco_minari.benchmark.offline import ALGORITHMS, SHIFTED_TIER, TIERS
 from imujoco_minari.benchmark.reproduction import comparison
 from imujoco_minari.benchmark.scores import (
+    OTHERS_MARK,
     TYPICAL_BUDGET,
     Interval,
     MethodScore,
@@ -45,8 +46,11 @@ class ScoreFigure:
 
 
 def few_shot_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
-    """Return the figures of few-shot scores: return by tier, against data, and against steps."""
-    shown = shown_scores(scores)
+    """Return the figures of few-shot scores: return by tier, against data, and against steps.
+
+    The methods of others are not in them.
+    """
+    shown = shown_scores([score for score in scores if not score.method.endswith(OTHERS_MARK)])
     figures = _tier_figures(shown)
     for kind in dict.fromkeys(_kind(score) for score in shown):
         chosen = [score for score in shown if _kind(score) == kind]

@@ -29,6 +29,8 @@ OWN_EXPERT = "own-expert"
 SHIFTED = "shifted"
 # The setting of the table of parts, and of the figure of return against steps.
 TYPICAL_BUDGET = "5x100"
+# Follows the names of the methods of others.
+OTHERS_MARK = " †"
 # A score and the ends of its interval.
 Interval = tuple[float, float, float]
 

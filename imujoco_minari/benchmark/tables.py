@@ -28,7 +28,7 @@ Table = tuple[str, list[str], list[list[str]]]
 
 
 def few_shot_tables(scores: Sequence[MethodScore]) -> str:
-    """Return Markdown tables of few-shot scores: by budget, and over parts of the variants."""
+    """Return Markdown tables of few-shot scores, folded by split: by budget, and by parts of a split."""
     parts = []
     for group, tier in dict.fromkeys((score.group, score.tier) for score in scores):
         own = [score for score in scores if (score.group, score.tier) == (group, tier)]
@@ -36,9 +36,7 @@ def few_shot_tables(scores: Sequence[MethodScore]) -> str:
         count, whole = shown[0].variants, max(score.variants for score in own)
         which = " with an expert of their own" if shown[0].category == OWN_EXPERT else ""
         columns, rows = _by_budget(shown)
-        parts.append(
-            f"### {group}, {tier}\n\n{count} of {whole} held-out variants{which}:\n\n{table(columns, rows)}"
-        )
+        text = f"{count} of {whole} held-out variants{which}:\n\n{table(columns, rows)}"
         typical = [s for s in own if s.budget == TYPICAL_BUDGET or s.method in COMPARISONS]
         order = (ALL, OWN_EXPERT, *CATEGORIES)
         categories = [category for category in order if any(s.category == category for s in typical)]
@@ -47,11 +45,9 @@ def few_shot_tables(scores: Sequence[MethodScore]) -> str:
             most = max(score.steps for score in typical if score.method == method)
             by = {s.category: s for s in typical if (s.method, s.steps) == (method, most)}
             rows.append([method, str(most), *(_cell(by.get(category)) for category in categories)])
-        parts.append(
-            f"All held-out variants and parts of them, with {TYPICAL_BUDGET} steps demonstrated:\n\n"
-            + table(["method", "steps", *categories], rows)
-        )
-    return "\n".join(parts)
+        text += f"\nAll held-out variants and parts of them, with {TYPICAL_BUDGET} steps demonstrated:\n\n"
+        parts.append(folded(f"{group}, {tier}", text + table(["method", "steps", *categories], rows)))
+    return "\n\n".join(parts)
 
 
 def variant_tables(lines: Sequence[Line]) -> dict[str, list[Table]]:
@@ -65,17 +61,22 @@ def variant_tables(lines: Sequence[Line]) -> dict[str, list[Table]]:
 
 
 def offline_tables(scores: Sequence[MethodScore]) -> str:
-    """Return Markdown tables of offline scores: on the base robots, and on other variants."""
-    methods = [method for method in ALGORITHMS if any(score.method == method for score in scores)]
+    """Return Markdown tables of offline scores, folded: on each base robot, and on other variants."""
+    present = {score.method for score in scores}
+    methods = [m for m in ALGORITHMS if m in present] + sorted(present - set(ALGORITHMS))
     steps = sorted({score.steps for score in scores})
     found = {(s.group, s.tier, s.category, s.steps, s.method): s for s in scores}
 
     def cells(robot: str, tier: str, category: str, number: int) -> list[str]:
         return [_cell(found.get((robot, tier, category, number, method))) for method in methods]
 
-    tiers = [(r, t) for r, t in product(ROBOTS, TIERS) if any((s.group, s.tier) == (r, t) for s in scores)]
-    rows = [[r, t, f"{number:,}", *cells(r, t, BASE, number)] for r, t in tiers for number in steps]
-    text = f"On the base robot:\n\n{table(['robot', 'data', 'updates', *methods], rows)}"
+    parts = []
+    for robot in ROBOTS:
+        tiers = [tier for tier in TIERS if any((s.group, s.tier) == (robot, tier) for s in scores)]
+        rows = [[t, f"{number:,}", *cells(robot, t, BASE, number)] for t in tiers for number in steps]
+        if rows:
+            text = table(["data", "updates", *methods], rows)
+            parts.append(folded(f"{robot}, on the base robot", text))
     shifted = [(s.group, s.category) for s in scores if s.category != BASE]
     rows = [
         [robot, category, *cells(robot, SHIFTED_TIER, category, steps[-1])]
@@ -84,8 +85,8 @@ def offline_tables(scores: Sequence[MethodScore]) -> str:
     ]
     if rows:
         caption = f"From {SHIFTED_TIER} data of the base to other variants, after {steps[-1]:,} updates"
-        text += f"\n{caption}:\n\n{table(['robot', 'variants', *methods], rows)}"
-    return text
+        parts.append(folded(caption, table(["robot", "variants", *methods], rows)))
+    return "\n\n".join(parts)
 
 
 def reproduction_table(lines: Sequence[Line]) -> str:
@@ -101,6 +102,11 @@ def reproduction_table(lines: Sequence[Line]) -> str:
             shown = ["" if error is None else f"{error:.3f}" for error in published]
             rows.append([f"{method}, published", str(windows), *shown])
     return table(["method", "windows", *map(str, steps)], rows)
+
+
+def folded(title: str, text: str) -> str:
+    """Return Markdown that shows only its title until a reader opens it."""
+    return f"<details>\n<summary>{title}</summary>\n\n{text.strip()}\n\n</details>"
 
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

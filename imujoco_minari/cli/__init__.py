@@ -20,6 +20,7 @@ from imujoco_minari.cli import (
     plot,
     remote,
     render,
+    submissions,
     training,
 )
 from imujoco_minari.cli.app import app, main
@@ -36,5 +37,6 @@ __all__ = [
     "plot",
     "remote",
     "render",
+    "submissions",
     "training",
 ]

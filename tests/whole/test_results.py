@@ -73,7 +73,10 @@ def test_the_page_counts_the_variants_with_their_own_expert() -> None:
             own = sum(shared[weights[variant]] == 1 for variant in test)
             whole += own
             if any(line["split"] == split for line in LINES):
-                assert f"### {split}, expert\n\n{own} of {len(test)} held-out variants with" in text
+                assert (
+                    f"<summary>{split}, expert</summary>\n\n{own} of {len(test)} held-out variants with"
+                    in text
+                )
     assert f"{whole} of the 101." in (DOCS / "benchmark.md").read_text("utf-8")
 
 

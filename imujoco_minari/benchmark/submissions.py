@@ -1,0 +1,311 @@
+"""Result lines of others: whether they can stand beside the published ones.
+
+The input is untrusted. Its size is limited, and nothing in it is run.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from imujoco_minari.benchmark import few_shot, offline, protocol
+from imujoco_minari.benchmark.lines import Line
+from imujoco_minari.errors import BenchmarkError, clipped
+from imujoco_minari.variants import EXPERT, HeldOut, held_out
+
+# The digests, references and versions of the published results: `scripts/generate-docs` writes it.
+PUBLISHED = Path(__file__).with_name("published.json")
+# All lines of a method take about 1.5 MB.
+MAX_BYTES, MAX_LINE, MAX_FAULTS = 2**23, 2**17, 50
+# The versions that decide the data and the episodes. A method need not use the others.
+VERSIONS = ("imujoco-minari", "mujoco", "gymnasium", "numpy")
+_FEW: dict[str, type] = {
+    "method": str,
+    "split": str,
+    "tier": str,
+    "variant": str,
+    "budget": str,
+    "train_sha256": str,
+}
+_OFFLINE: dict[str, type] = {"method": str, "robot": str, "tier": str, "checkpoints": list, "variants": list}
+_BOTH: dict[str, type] = {"seed": int, "episodes": int, "settings": dict, "versions": dict, "results": dict}
+_BOTH |= {"data_sha256": str, "policies_sha256": str}
+# What the check of whole splits needs of a line. The rest of an untrusted line may be large.
+_KEPT = (
+    "method",
+    "settings",
+    "split",
+    "tier",
+    "variant",
+    "budget",
+    "seed",
+    "train_sha256",
+    "robot",
+    "results",
+)
+
+
+def check_submission(folder: Path) -> list[str]:
+    """Return what is missing or wrong in the lines of a method: a sentence each, none if they are whole.
+
+    Each split and tier, and each offline dataset, of which the folder has a line must be whole.
+
+    Args:
+        folder: has ``few-shot.jsonl``, ``offline.jsonl`` or both.
+
+    Raises:
+        BenchmarkError: if the folder has neither file.
+
+    Example:
+        >>> check_submission(Path("docs/results/others/nearest-neighbour"))  # doctest: +SKIP
+        []
+    """
+    files = [folder / each.FILE for each in (few_shot, offline) if (folder / each.FILE).is_file()]
+    if not files:
+        raise BenchmarkError(f"{folder} has neither {few_shot.FILE} nor {offline.FILE}")
+    faults: list[str] = []
+    methods: set[str] = set()
+    for file in files:
+        lines: list[Line] = []
+        wrong: Counter[str] = Counter()
+        first: dict[str, int] = {}
+        shape = few_shot_fault if file.name == few_shot.FILE else offline_fault
+        try:
+            for number, text in _texts(file):
+                line = _parsed(text)
+                found = ["not a JSON object"] if line is None else shape(line)
+                if line is not None and not found:
+                    kept = {key: line[key] for key in _KEPT if key in line}
+                    lines.append(kept | {"results": sorted(line["results"])})
+                for each in found:
+                    fault = each if each in wrong or len(wrong) < MAX_FAULTS else "other faults"
+                    wrong[fault] += 1
+                    first.setdefault(fault, number)
+        except (_TooLargeError, OSError) as error:
+            faults.append(f"{file.name}: {error}")
+        for fault, count in wrong.items():
+            faults.append(f"{file.name}, line {first[fault]}: {fault} (lines: {count})")
+        own = {line["method"] for line in lines}
+        methods |= own
+        whole = few_shot_missing if file.name == few_shot.FILE else offline_missing
+        if len(own) == 1:
+            faults += [f"{file.name}: {fault}" for fault in (*_settings(lines), *whole(lines))]
+        if not lines and not wrong:
+            faults.append(f"{file.name}: no lines")
+    if len(methods) > 1:
+        faults.append(f"a folder has one method, but these lines are of {len(methods)}")
+    return faults
+
+
+class _TooLargeError(Exception):
+    """A file or a line is larger than any result."""
+
+
+def _texts(file: Path) -> Iterator[tuple[int, bytes]]:
+    """Yield the number and the bytes of each line."""
+    if file.stat().st_size > MAX_BYTES:
+        raise _TooLargeError(f"larger than {MAX_BYTES // 2**20} MiB: not read")
+    with file.open("rb") as opened:
+        for number in range(1, MAX_BYTES):
+            text = opened.readline(MAX_LINE + 1)
+            if not text:
+                return
+            if len(text) > MAX_LINE:
+                raise _TooLargeError(
+                    f"line {number} is longer than {MAX_LINE // 2**10} KiB: not read further"
+                )
+            yield number, text
+
+
+def _parsed(text: bytes) -> Mapping[str, Any] | None:
+    try:
+        line = json.loads(text)
+    # Deep nesting exhausts the stack.
+    except (ValueError, RecursionError):
+        return None
+    return line if isinstance(line, dict) else None
+
+
+def few_shot_fault(line: Mapping[str, Any]) -> list[str]:
+    """Return what is wrong with one few-shot line."""
+    if found := _shape(line, _FEW, protocol.NAME):
+        return found
+    split, tier, variant = line["split"], line["tier"], line["variant"]
+    published = _published()[protocol.NAME]
+    if f"{split} {tier}" not in published["train"] or variant not in held_out(split).test:
+        return [f"no results of {_shown(variant)} in {_shown(split)}, {_shown(tier)}, are published"]
+    own, train = published["variants"][f"{variant} {tier}"], published["train"][f"{split} {tier}"]
+    found = [*_versions(line), *_same(line, own)]
+    if line["train_sha256"] not in ("", train):
+        found.append("the training data are not the published data")
+    return found + _measured(line["results"], line["episodes"])
+
+
+def offline_fault(line: Mapping[str, Any]) -> list[str]:
+    """Return what is wrong with one offline line."""
+    if found := _shape(line, _OFFLINE, offline.NAME):
+        return found
+    own = _published()[offline.NAME].get(f"{line['robot']} {line['tier']}")
+    if own is None:
+        return [f"no results of {_shown(line['robot'])}, {_shown(line['tier'])}, are published"]
+    found = [*_versions(line), *_same(line, own)]
+    for key in ("variants", "checkpoints"):
+        if line[key] != own[key]:
+            found.append(f"{key} are not the protocol's: {own[key]}")
+    if set(line["results"]) != set(own["variants"]):
+        return [*found, "its results are not of the protocol's variants"]
+    steps = set(map(str, own["checkpoints"]))
+    for result in line["results"].values():
+        if not isinstance(result, dict) or set(result) != steps:
+            return [*found, f"its results are not of the protocol's checkpoints: {', '.join(sorted(steps))}"]
+        found += _measured(result, line["episodes"], errors=False)
+    return list(dict.fromkeys(found))
+
+
+def _shape(line: Mapping[str, Any], kinds: dict[str, type], name: str) -> list[str]:
+    """Return faults of the keys, types and protocol."""
+    if line.get("protocol") != name:
+        return [f"the protocol is {_shown(line.get('protocol'))}, not {name}"]
+    found = [
+        f"{key} is missing or not {kind.__name__}"
+        for key, kind in (kinds | _BOTH).items()
+        if not isinstance(line.get(key), kind) or isinstance(line.get(key), bool)
+    ]
+    if not found and not (line["settings"] and all(map(_plain, line["settings"].values()))):
+        found.append("its settings are not stated as texts, numbers, truth values or lists of them")
+    if not found and line["episodes"] != protocol.EVALUATION_EPISODES:
+        found.append(f"{_shown(line['episodes'])} episodes, not {protocol.EVALUATION_EPISODES}")
+    return found
+
+
+def _versions(line: Line) -> Iterator[str]:
+    for name in VERSIONS:
+        wanted, found = _published()["versions"][name], line["versions"].get(name, "missing")
+        if found != wanted:
+            yield f"{name} is {_shown(found)}; the published results are of {wanted}"
+
+
+def _same(line: Line, own: Mapping[str, Any]) -> Iterator[str]:
+    words = {
+        "data_sha256": "the data are not the published data",
+        "policies_sha256": "the experts are not those of the published data",
+        "references": "the references are not the published ones",
+    }
+    yield from (word for key, word in words.items() if line.get(key) != own[key])
+
+
+def _measured(results: Mapping[str, Any], episodes: int, errors: bool = True) -> list[str]:
+    """Return faults of the results by number of gradient steps."""
+    if not results:
+        return ["it has no results"]
+    for steps, result in results.items():
+        if not (steps.isascii() and steps.isdecimal() and len(steps) < 10):
+            return [f"{_shown(steps)} is not a number of gradient steps"]
+        returns = result.get("returns") if isinstance(result, dict) else None
+        if not isinstance(returns, list) or len(returns) != episodes or not all(map(_finite, returns)):
+            return [f"returns are not {episodes} finite numbers"]
+        if errors and not _finite(result.get("error")):
+            return ["the error of the actions is not a finite number"]
+    return []
+
+
+def _shown(value: object) -> str:
+    """Return an untrusted value as a short text of one line, without control characters."""
+    return clipped(ascii(value) if isinstance(value, str | int | float | None) else type(value).__name__)
+
+
+def _finite(value: object) -> bool:
+    # An integer of many digits is no return, and cannot become a float.
+    return type(value) in (int, float) and abs(value) < 1e12 and math.isfinite(value)  # type: ignore[arg-type]
+
+
+def _settings(lines: Sequence[Line]) -> Iterator[str]:
+    """Yield a fault if the lines of a method have different settings."""
+    stated = {json.dumps(line["settings"], sort_keys=True) for line in lines}
+    if len(stated) > 1:
+        yield f"the lines have {len(stated)} different settings; a method has one"
+
+
+def _plain(value: object) -> bool:
+    values = value if isinstance(value, list) else [value]
+    return all(isinstance(each, bool | int | float | str) for each in values)
+
+
+def few_shot_missing(lines: Sequence[Line]) -> Iterator[str]:
+    """Yield the cells that the splits of few-shot lines lack, and those that they have twice."""
+    for split, tier in sorted({(x["split"], x["tier"]) for x in lines}):
+        own = [x for x in lines if (x["split"], x["tier"]) == (split, tier)]
+        chosen = held_out(split)
+        budgets = [str(budget) for budget in budgets_of(chosen, tier)]
+        wanted = [
+            (variant, budget, seed)
+            for variant in chosen.test
+            for budget in budgets
+            for seed in range(protocol.SEEDS)
+        ]
+        cells = Counter((x["variant"], x["budget"], x["seed"]) for x in own)
+        yield from _differences(f"{split}, {tier}", wanted, cells)
+        if len({x["train_sha256"] for x in own}) > 1:
+            yield f"{split}, {tier}: some lines have training data, others none"
+        if len({tuple(x["results"]) for x in own}) > 1:
+            yield f"{split}, {tier}: the lines differ in their gradient steps"
+
+
+def offline_missing(lines: Sequence[Line]) -> Iterator[str]:
+    """Yield the seeds that offline datasets lack, and those that they have twice."""
+    for robot, tier in sorted({(x["robot"], x["tier"]) for x in lines}):
+        own = [x for x in lines if (x["robot"], x["tier"]) == (robot, tier)]
+        wanted = [(seed,) for seed in range(offline.SEEDS)]
+        cells = Counter((x["seed"],) for x in own)
+        yield from _differences(f"{robot}, {tier}", wanted, cells)
+
+
+def budgets_of(split: HeldOut, tier: str) -> Sequence[protocol.Budget]:
+    """Return the budgets that a method must have in a split and tier."""
+    return protocol.budgets_of(split) if tier == EXPERT else [protocol.Budget.parse("5x100")]
+
+
+def _differences(
+    name: str, wanted: Sequence[tuple[Any, ...]], cells: Mapping[tuple[Any, ...], int]
+) -> Iterator[str]:
+    missing = [cell for cell in wanted if not cells.get(cell)]
+    unknown = sorted(set(cells) - set(wanted))
+    twice = [cell for cell, count in cells.items() if count > 1]
+    for what, found in (("lacks", missing), ("has what the protocol lacks:", unknown), ("repeats", twice)):
+        if found:
+            shown = ", ".join([*map(_shown, found[0][:-1]), f"seed {_shown(found[0][-1])}"])
+            more = f" and {len(found) - 1} more" if len(found) > 1 else ""
+            yield f"{name}: {what} {shown}{more} ({len(wanted) - len(missing)} of {len(wanted)} cells)"
+
+
+def published_content(few: Sequence[Line], off: Sequence[Line]) -> str:
+    """Return the text of ``published.json``, from the published lines.
+
+    Args:
+        few: few-shot lines.
+        off: offline lines.
+    """
+    entries = ("data_sha256", "policies_sha256", "references")
+    train = {f"{x['split']} {x['tier']}": x["train_sha256"] for x in few if x["train_sha256"]}
+    variants = {f"{x['variant']} {x['tier']}": {key: x[key] for key in entries} for x in few}
+    data = {
+        f"{x['robot']} {x['tier']}": {key: x[key] for key in (*entries, "variants", "checkpoints")}
+        for x in off
+    }
+    content = {
+        "versions": {name: few[0]["versions"][name] for name in VERSIONS},
+        protocol.NAME: {"train": train, "variants": variants},
+        offline.NAME: data,
+    }
+    return json.dumps(content, indent=1, sort_keys=True) + "\n"
+
+
+@cache
+def _published() -> Mapping[str, Any]:
+    content: Mapping[str, Any] = json.loads(PUBLISHED.read_text("utf-8"))
+    return content
