@@ -47,9 +47,12 @@ class Source:
 
     @property
     def bytes(self) -> int:
-        """About how many bytes the episodes take."""
-        share = len(self.episodes) / max(1, int(self.metadata["total_episodes"]))
-        return round(share * self.file.stat().st_size)
+        """About how many bytes the episodes take; 0 where it cannot be read, which copying reports."""
+        try:
+            share = len(self.episodes) / max(1, int(self.metadata["total_episodes"]))
+            return round(share * self.file.stat().st_size)
+        except (OSError, OverflowError):
+            return 0
 
     @property
     def file(self) -> Path:

@@ -52,7 +52,7 @@ pytestmark = [
 def quick_ladder(monkeypatch: pytest.MonkeyPatch) -> None:
     """Measure rungs in one episode, and leave out the runs that give variants a medium rung."""
     monkeypatch.setattr(Ladder, "climb", lambda *arguments: None)
-    monkeypatch.setattr(ladder, "EPISODES", 1)
+    monkeypatch.setattr(ladder, "LADDER_EPISODES", 1)
     monkeypatch.setattr(ladder, "MEDIUM_EPISODES", 1)
 
 

@@ -13,7 +13,8 @@ import pytest
 
 from imujoco_minari.policies.experts import shipped_folder
 from imujoco_minari.policies.tiers import medium_rung
-from imujoco_minari.variants import catalogue
+from imujoco_minari.variants import ROBOTS, catalogue
+from imujoco_minari.variants.off_dynamics import off_dynamics, off_dynamics_names
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "generate-docs"
 
@@ -46,7 +47,27 @@ def test_every_shipped_expert_has_its_row(pages: dict[str, str]) -> None:
     rows = [line for line in pages["experts.md"].splitlines() if line.startswith("| `")]
     names = {path.stem for path in shipped_folder().glob("*-*.json")}
     shipped = {name for name in names if not name.endswith((".agent", "-universal"))}
-    assert {row.split("`")[1] for row in rows} == shipped
+    targets = {str(off_dynamics(name).target) for robot in ROBOTS for name in off_dynamics_names(robot)}
+    assert {row.split("`")[1] for row in rows} == shipped | targets
+    folded = {row.split("`")[1] for row in rows if "`universal policy`" in row}
+    assert folded >= targets - shipped
+
+
+def test_the_universal_policies_rows_are_those_of_their_records(pages: dict[str, str]) -> None:
+    for robot in ROBOTS:
+        measured = json.loads((shipped_folder() / f"{robot}-universal.json").read_text("utf-8"))["measured"]
+        base = json.loads((shipped_folder() / f"{robot}-base.json").read_text("utf-8"))["evaluation"]
+        returns = [measured[str(each)]["evaluation"]["return_mean"] for each in catalogue(robot)]
+        shares = sorted(each / base["return_mean"] for each in returns)
+        row = [f"{len(shares)}", f"{shares[len(shares) // 2]:.2f}", f"{shares[0]:.2f}"]
+        (line,) = (line for line in pages["experts.md"].splitlines() if line.startswith(f"| {robot} | all |"))
+        cells = line.split(" | ")
+        assert cells[2] == row[0]
+        assert abs(float(cells[3]) - float(row[1])) <= 0.01
+        assert cells[4] == row[2]
+        # All episodes of a base's expert have the full length.
+        lengths = [measured[str(each)]["evaluation"]["length_mean"] for each in catalogue(robot)]
+        assert cells[8].removesuffix(" |") == str(sum(length < 1000 for length in lengths))
 
 
 def test_every_variant_has_its_row(pages: dict[str, str]) -> None:
