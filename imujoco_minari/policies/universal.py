@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from imujoco_minari.errors import PolicyError, PolicyNotFoundError
+from imujoco_minari.errors import ImujocoError, PolicyError, PolicyNotFoundError, clipped
 from imujoco_minari.policies.actors import Actor
 from imujoco_minari.policies.doors import Array
 from imujoco_minari.policies.files import actor_of_bytes
@@ -140,6 +140,9 @@ class ToldPolicy:
         self._universal = universal
         self._folded = universal.fold(Variant(universal.robot))
 
+    def __repr__(self) -> str:
+        return f"ToldPolicy({self._universal!r})"
+
     def tell(self, variant: Variant) -> None:
         """Act in this variant from now on."""
         self._folded = self._universal.fold(variant)
@@ -170,8 +173,13 @@ def _read(weights: Path, path: Path, *changed: int) -> UniversalPolicy:
         record = json.loads(path.read_text("utf-8"))
         ranges = record["ranges"]
         robot, names = record["robot"], parameters(record["robot"])
-        low, high = (np.array([ranges[name][side] for name in names], float) / 100 for side in (0, 1))
+        low, high = np.array([ranges[name] for name in names], float).reshape(len(names), 2).T / 100
+        if not (np.isfinite([low, high]).all() and (low <= high).all()):
+            raise ValueError("a range must be two finite numbers, the lower one first")
+        if not isinstance(record["measured"], dict) or not isinstance(record["algorithm"], str):
+            raise ValueError("measured must be a table and algorithm a text")
         actor = actor_of_bytes(weights.read_bytes(), weights.name, record["algorithm"], True, {})
-    except (ValueError, KeyError, TypeError, IndexError) as error:
-        raise PolicyError(f"{path}: not the record of a universal policy: {error!r}") from None
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError, OSError, ImujocoError) as error:
+        reason = clipped(str(error) if isinstance(error, ImujocoError) else repr(error))
+        raise PolicyError(f"{path}: not the record of a universal policy: {reason}") from None
     return UniversalPolicy(robot, actor, low, high, record)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from imujoco_minari import load_policy, publish
 from imujoco_minari.errors import PolicyError, PolicyNotFoundError
 from imujoco_minari.policies import Actor, expert_record, own_record, universal_policy
-from imujoco_minari.policies.experts import FOLDED
+from imujoco_minari.policies.experts import FOLDED, shipped_folder
 from imujoco_minari.policies.references import measured_record, weakness_of
 from imujoco_minari.policies.universal import read_universal, whole_context
 from imujoco_minari.variants import ROBOTS, Variant, catalogue, specification
@@ -150,3 +151,38 @@ def test_episodes_of_ranges_are_acted_by_the_policy_that_is_told_what_was_drawn(
         assert episode.actions == pytest.approx(told.act(seen, np.random.default_rng(0)), abs=1e-5)
     other = universal.fold(Variant("hopper")).act(dataset[0].observations[:-1], np.random.default_rng(0))
     assert np.abs(dataset[0].actions - other).max() > 0.01
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"ranges": {}}, "KeyError"),
+        ({"ranges": 3}, "TypeError"),
+        ({"algorithm": 3}, "algorithm a text"),
+        ({"measured": []}, "measured must be a table"),
+        ({"robot": "horse"}, "unknown robot 'horse'"),
+        ("[nan, 1]", "two finite numbers"),
+        ("[1, 1e999]", "two finite numbers"),
+        ("[2, 1]", "the lower one first"),
+        ("[0, 1, 2]", "ValueError"),
+        (f"[0, 1{'0' * 400}]", "OverflowError"),
+        ("[" * 100_000, "RecursionError"),
+    ],
+)
+def test_a_malformed_record_is_named_in_one_line(
+    change: dict[str, object] | str, words: str, tmp_path: Path
+) -> None:
+    for suffix in (".json", ".safetensors"):
+        shutil.copy(shipped_folder() / f"hopper-universal{suffix}", tmp_path)
+    path = tmp_path / "hopper-universal.json"
+    record = json.loads(path.read_text())
+    if isinstance(change, str):
+        record["ranges"]["mass/torsogeom"] = "HERE"
+        text = json.dumps(record).replace('"HERE"', change.replace("nan", "NaN"))
+    else:
+        text = json.dumps(record | change)
+    path.write_text(text)
+    with pytest.raises(PolicyError, match=words) as caught:
+        read_universal(path.with_suffix(".safetensors"))
+    assert len(str(caught.value)) < 400 + len(str(path))
+    assert "\n" not in str(caught.value)
