@@ -73,9 +73,9 @@ def evaluations_of(record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def weakness_of(variant: Variant) -> str:
-    """Return what is weak about the folded expert of a variant and what to do; empty when nothing is.
+    """Return a sentence that names the weakness of a variant's folded expert; empty if it is not weak.
 
-    Weak is a fall in 100 episodes of a robot that can fall, or less than half of the return on the base.
+    It is weak if it fell in its 100 episodes, or if it has less than half of the base expert's return.
     """
     record, base = measured_record(variant), measured_record(variant.base)
     if record.get("start") != FOLDED or "evaluation" not in base:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 
-from imujoco_minari.envs.registration import max_episode_steps
+from imujoco_minari.envs.registration import MAX_EPISODE_STEPS, max_episode_steps
 from imujoco_minari.errors import StorageError
 from imujoco_minari.policies import expert_record
 from imujoco_minari.policies.tiers import RANDOM
@@ -32,7 +32,7 @@ def steps_per_episode(recipe: Recipe) -> float:
     """Return the mean length of an episode by the record of the expert, or else the time limit."""
     key = {EXPERT: "evaluation", RANDOM: "random"}.get(recipe.tier) if recipe.policy is None else None
     evaluation = expert_record(recipe.nominal).get(key or "", {})
-    return float(evaluation.get("length_mean", max_episode_steps(recipe.nominal.robot) or 1000))
+    return float(evaluation.get("length_mean", max_episode_steps(recipe.nominal.robot) or MAX_EPISODE_STEPS))
 
 
 def check_space(name: str, needed: int) -> None:

@@ -70,7 +70,7 @@ class Lesson(NamedTuple):
 
 
 class Round(NamedTuple):
-    """What a round of the student showed.
+    """The result of one round of the student.
 
     Attributes:
         number: of the round, from 1.
@@ -191,21 +191,21 @@ class _Memory:
     """All observations that were seen with their contexts, and the labels of the teachers."""
 
     def __init__(self) -> None:
-        self._rows: list[tuple[Array, Array]] = []
+        self._inputs: list[Array] = []
+        self._labels: list[Array] = []
 
     def add(self, seen: Array, contexts: Array, teachers: Sequence[Actor]) -> None:
         """Add the observations that were seen, of shape (steps, variants, observation size)."""
         told = np.broadcast_to(contexts, (*seen.shape[:2], contexts.shape[1]))
         inputs = np.concatenate([seen, told], axis=2).reshape(-1, seen.shape[2] + told.shape[2])
         labels = np.stack([label(teacher, seen[:, i]) for i, teacher in enumerate(teachers)], axis=1)
-        added = inputs, labels.reshape(len(inputs), -1)
-        self._rows = [
-            tuple(np.concatenate(parts) for parts in zip(*self._rows, added, strict=True))  # type: ignore
-        ]
+        # One array each, so that a sample is one look-up.
+        self._inputs = [np.concatenate([*self._inputs, inputs])]
+        self._labels = [np.concatenate([*self._labels, labels.reshape(len(inputs), -1)])]
 
     def sample(self, rng: np.random.Generator, shape: tuple[int, int]) -> tuple[Array, Array]:
         """Return inputs and labels, drawn evenly; shapes (*shape, inputs) and (*shape, labels)."""
-        inputs, labels = self._rows[0]
+        (inputs,), (labels,) = self._inputs, self._labels
         chosen = rng.integers(len(inputs), size=shape)
         return inputs[chosen], labels[chosen]
 

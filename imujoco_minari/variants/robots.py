@@ -83,7 +83,7 @@ def load_page(robot: str, file: Path) -> None:
 
 
 def keep_fault(robot: str, fault: str) -> None:
-    """Keep what is wrong with a robot's page: :func:`specification` says it where the robot is asked for."""
+    """Keep the fault of a robot's page. :func:`specification` raises it when that robot is needed."""
     if robot not in _PAGES:
         _FAULTS[robot] = fault
 
@@ -182,7 +182,7 @@ def _shipped_pages() -> dict[str, RobotSpecification]:
 _PAGES = _shipped_pages()
 # Robot -> the texts of its page, for robots that the package does not ship.
 _CARRIED: dict[str, Mapping[str, str]] = {}
-# Robot -> what is wrong with its page, for robots that are not known therefore.
+# Robot -> the fault of its page, for robots whose pages could not be loaded.
 _FAULTS: dict[str, str] = {}
 # The functions whose caches are cleared when a page is forgotten.
 _FOLLOWING: list[_Cached] = []

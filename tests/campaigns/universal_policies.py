@@ -1,4 +1,4 @@
-"""What the universal policies reach, as shares of the base expert's return, on seeds that chose nothing."""
+"""The returns of the universal policies, as shares of the base expert's, on seeds that chose no policy."""
 
 from __future__ import annotations
 
