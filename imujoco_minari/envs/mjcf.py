@@ -140,11 +140,13 @@ def check_robot(robot: str) -> None:
     Raises:
         ModelError: when the model is refused, does not compile, or lacks a part that the robot's page names.
     """
-    page = specification(robot)
+    page, text = specification(robot), base_text(robot)
     try:
-        spec = _bake_once(base_text(robot))
+        spec = _bake_once(text)
         for name in (*page.root_joints, *page.stance):
             find(spec, "joint", name)
+        for name in page.feet:
+            find(spec, "geom", name)
         for category, listing in page.categories.items():
             for names in listing.bodies.values():
                 for name in names:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from copy import copy
 from functools import cache, lru_cache
+from inspect import signature
 from typing import Any, cast
 
 import gymnasium as gym
@@ -75,6 +76,11 @@ class VariantEnv(MujocoEnv, EzPickle):
         self._text = mjcf
         z_range = healthy_z_range(self.variant if mjcf is None else self.variant.base)
         defaults = {} if z_range is None else {"healthy_z_range": z_range}
+        if page is not None and defaults and "healthy_z_range" not in signature(super().__init__).parameters:
+            raise CatalogueError(
+                f"the page of {self.variant.robot} has healthy_z_range, which {self.robot_environment} "
+                "does not take"
+            )
         super().__init__(**(defaults | kwargs))
         # The parent recorded its own arguments for pickling; these make this environment again.
         EzPickle.__init__(self, variant, mjcf, page, **kwargs)
@@ -114,6 +120,11 @@ class VariantEnv(MujocoEnv, EzPickle):
                     f"the page of {self.variant.robot} states {key} = {getattr(page, key):g}, "
                     f"but its environment has {value:g}"
                 )
+        if not getattr(self, "is_healthy", True):
+            raise CatalogueError(
+                f"the page of {self.variant.robot}: its robot is not healthy at rest, so an episode would "
+                f"have one step; its healthy_z_range is {page.healthy_z_range}"
+            )
 
     def _initialize_simulation(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
         model = variant_model(self.variant) if self._text is None else copy(_compiled(self._text))

@@ -7,6 +7,9 @@ from pathlib import Path
 
 from imujoco_minari.errors import CatalogueError
 
+# A model of more than 48 KiB is refused later. Comments may make its files longer.
+_MAX_BYTES, _MAX_INCLUDES, _MAX_DEPTH = 2**20, 100, 100
+
 
 def read_model(path: Path) -> str:
     """Return the MJCF text of a file, with each ``<include file="..."/>`` replaced by that file's content.
@@ -15,17 +18,19 @@ def read_model(path: Path) -> str:
 
     Raises:
         CatalogueError: when a file cannot be read, is not XML, or an include names a file outside the folder
-            of ``path``.
+            of ``path``; or there are too many includes.
     """
     root = _read(path)
-    _insert_includes(root, path, path.parent.resolve(), (path.resolve(),))
+    _insert_includes(root, path, path.parent.resolve(), (path.resolve(),), [])
     return ET.tostring(root, encoding="unicode")
 
 
-def _insert_includes(element: ET.Element, path: Path, folder: Path, open_files: tuple[Path, ...]) -> None:
+def _insert_includes(
+    element: ET.Element, path: Path, folder: Path, open_files: tuple[Path, ...], included: list[Path]
+) -> None:
     for child in list(element):
         if child.tag != "include":
-            _insert_includes(child, path, folder, open_files)
+            _insert_includes(child, path, folder, open_files, included)
             continue
         named = child.get("file", "")
         file = (folder / named).resolve()
@@ -35,8 +40,12 @@ def _insert_includes(element: ET.Element, path: Path, folder: Path, open_files: 
             )
         if file in open_files:
             raise CatalogueError(f"{path}: includes the file {named!r}, which includes itself")
+        included.append(file)
+        # Files that include each other several times would grow without end.
+        if len(included) > _MAX_INCLUDES:
+            raise CatalogueError(f"{path}: has more than {_MAX_INCLUDES} includes")
         part = _read(file)
-        _insert_includes(part, path, folder, (*open_files, file))
+        _insert_includes(part, path, folder, (*open_files, file), included)
         place = list(element).index(child)
         element.remove(child)
         for offset, inner in enumerate(part):
@@ -45,11 +54,26 @@ def _insert_includes(element: ET.Element, path: Path, folder: Path, open_files: 
 
 def _read(path: Path) -> ET.Element:
     try:
+        # A pipe, for example, would wait without end.
+        if not path.is_file():
+            raise CatalogueError(f"{path}: cannot be read: it is no file")
+        if path.stat().st_size > _MAX_BYTES:
+            raise CatalogueError(f"{path}: the file has more than {_MAX_BYTES} bytes")
         text = path.read_text("utf-8")
         if "<!DOCTYPE" in text or "<!ENTITY" in text:
             raise CatalogueError(f"{path}: a model with a DOCTYPE or entities is refused")
-        return ET.fromstring(text)
+        root = ET.fromstring(text)
+    # It is a ValueError too.
+    except CatalogueError:
+        raise
     except (OSError, UnicodeDecodeError) as error:
         raise CatalogueError(f"{path}: cannot be read: {error}") from None
     except (ET.ParseError, ValueError) as error:
         raise CatalogueError(f"{path}: not XML: {error}") from None
+    if _is_deeper(root, _MAX_DEPTH):
+        raise CatalogueError(f"{path}: elements are nested deeper than {_MAX_DEPTH}")
+    return root
+
+
+def _is_deeper(element: ET.Element, depth: int) -> bool:
+    return depth < 0 or any(_is_deeper(child, depth - 1) for child in element)

@@ -5,7 +5,6 @@ It knows nothing of MuJoCo.
 
 from __future__ import annotations
 
-import math
 import re
 import tomllib
 from collections.abc import Callable, Mapping
@@ -22,8 +21,16 @@ CATEGORIES = ("mass", "joint", "length", "friction", "gravity", "gear", "damping
 _Kind: TypeAlias = tuple[str, Callable[[Any], bool]]
 _TEXT: _Kind = "text", lambda value: isinstance(value, str)
 _FLAG: _Kind = "true or false", lambda value: isinstance(value, bool)
-_COUNT: _Kind = "a whole number above 0", lambda value: type(value) is int and value > 0
-_SIZE: _Kind = "a number above 0", lambda value: type(value) in (int, float) and 0 < value < float("inf")
+# TOML has integers of any length. Larger ones mean nothing here, and cannot become a float.
+_LARGEST = 10**9
+_COUNT: _Kind = (
+    "a whole number above 0, and at most 10^9",
+    lambda value: type(value) is int and 0 < value <= _LARGEST,
+)
+_SIZE: _Kind = (
+    "a number above 0, and at most 10^9",
+    lambda value: type(value) in (int, float) and 0 < value <= _LARGEST,
+)
 
 _ENVIRONMENT = re.compile(r"[A-Z][A-Za-z0-9]*-v5", re.ASCII)
 
@@ -127,7 +134,8 @@ def parse_specification(text: str, name: str) -> RobotSpecification:
     """
     try:
         data = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    # A ValueError: it is not TOML, or a number has thousands of digits.
+    except (ValueError, RecursionError) as error:
         raise CatalogueError(f"{name}: not TOML: {error}") from None
     known = {field.name for field in fields(RobotSpecification)} - {"categories"} | {*CATEGORIES}
     unknown = sorted(set(data) - known)
@@ -200,7 +208,7 @@ class _Page:
 
     def numbers(self, key: str) -> Mapping[str, float]:
         table = self._table(key, "numbers", int, float)
-        if not all(map(math.isfinite, table.values())):
+        if not all(abs(value) <= _LARGEST for value in table.values()):
             raise self._error(f"[{key}] must hold finite numbers")
         return MappingProxyType({item: float(value) for item, value in table.items()})
 

@@ -72,6 +72,8 @@ def load_page(robot: str, file: Path) -> None:
     from imujoco_minari.variants.includes import read_model
 
     try:
+        if file.stat().st_size > 4 * _MAX_PAGE_CHARACTERS:
+            raise CatalogueError(f"{file}: the page has more than {_MAX_PAGE_CHARACTERS} characters")
         text = file.read_text("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise CatalogueError(f"{file}: cannot be read: {error}") from None

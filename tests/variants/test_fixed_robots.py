@@ -162,6 +162,12 @@ def test_a_page_with_a_fault_leaves_the_other_robots_alone(folder: Path) -> None
         ("[0.7, inf]", "[1.7, 0.7]", "two floats, in metres, the lower one first"),
         ('feet = ["foot_geom"]', "feet = []", "feet must have at least one name"),
         ("steps_per_second = 125", "steps_per_second = nan", "steps_per_second must be a number above 0"),
+        ("action_size = 3", "action_size = 3" + "0" * 400, "action_size must be a whole number above 0"),
+        ("action_size = 3", "action_size = 3" + "0" * 5000, "not TOML"),
+        ("feet =", "action_bound = 1" + "0" * 400 + "\nfeet =", "action_bound must be a number above 0"),
+        ("[0.7, inf]", "[70.0, inf]", "not healthy at rest"),
+        ('feet = ["foot_geom"]', 'feet = ["boot_geom"]', "no geom 'boot_geom'"),
+        ('"Hopper-v5"', '"HalfCheetah-v5"', "healthy_z_range, which HalfCheetah-v5 does not take"),
         (
             "steps_per_second",
             "max_episode_steps = 0\nsteps_per_second",

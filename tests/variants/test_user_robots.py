@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import pickle
 import subprocess
 import sys
@@ -157,7 +158,7 @@ def test_another_page_of_a_robot_is_refused(folder: Path) -> None:
         ("strong.xml", '<include file="motors.xml"/>', "", ["action_size = 3, but its environment has 0"]),
         ("strong.xml", "motors.xml", "../motors.xml", ["'../motors.xml'", "outside its folder"]),
         ("strong.xml", "motors.xml", "/etc/passwd", ["'/etc/passwd'", "outside its folder"]),
-        ("strong.xml", "motors.xml", "none.xml", ["none.xml", "cannot be read"]),
+        ("strong.xml", "motors.xml", "none.xml", ["none.xml: cannot be read"]),
         (
             "strong.xml",
             "<worldbody>",
@@ -166,6 +167,8 @@ def test_another_page_of_a_robot_is_refused(folder: Path) -> None:
         ),
         ("strong.xml", "<worldbody>", "<world>", ["not XML"]),
         ("motors.xml", "<actuator>", '<include file="motors.xml"/><actuator>', ["which includes itself"]),
+        ("motors.xml", "<actuator>", "<actuator>" + "<a>" * 2000 + "</a>" * 2000, ["nested deeper than 100"]),
+        ("motors.xml", "<actuator>", "<!--" + " " * 2**20 + "--><actuator>", ["more than 1048576 bytes"]),
     ],
 )
 def test_what_is_wrong_is_named_in_one_line(
@@ -181,6 +184,24 @@ def test_what_is_wrong_is_named_in_one_line(
     # A page that was refused leaves nothing behind.
     with pytest.raises(VariantError, match="unknown robot"):
         Variant.parse("strong-base")
+
+
+def test_files_that_include_each_other_many_times_are_refused(folder: Path) -> None:
+    motors = folder / "motors.xml"
+    (folder / "part0.xml").write_text(motors.read_text())
+    for number in range(1, 20):
+        twice = f'<include file="part{number - 1}.xml"/>' * 2
+        (folder / f"part{number}.xml").write_text(f"<mujoco>{twice}</mujoco>")
+    motors.write_text('<mujoco><include file="part19.xml"/></mujoco>')
+    with pytest.raises(CatalogueError, match="has more than 100 includes"):
+        imujoco_minari.load_catalogue(folder)
+
+
+def test_a_pipe_is_not_read(folder: Path) -> None:
+    (folder / "motors.xml").unlink()
+    os.mkfifo(folder / "motors.xml")
+    with pytest.raises(CatalogueError, match=r"motors.xml: cannot be read: it is no file"):
+        imujoco_minari.load_catalogue(folder)
 
 
 def test_a_corrected_page_is_read_anew(folder: Path) -> None:
