@@ -13,6 +13,8 @@ from imujoco_minari.errors import DatasetError, DatasetIdError, ImujocoError, St
 
 # Minari's grammar of ids, without the leading dots, double slashes and ".." that could leave the root.
 _DATASET_ID = re.compile(r"(?:[A-Za-z0-9_][-\w]*/)+[A-Za-z0-9_][-\w]*-v[0-9]{1,6}", re.ASCII)
+# A file system allows 255 bytes in a name.
+_MAX_ID = 200
 _HDF5_REASON = re.compile(r"error message = '([^']{1,200})'")
 
 
@@ -40,7 +42,12 @@ def dataset_folder(dataset_id: str) -> Path:
     Raises:
         DatasetIdError: if ``dataset_id`` is not a Minari id with a namespace.
     """
-    if not isinstance(dataset_id, str) or len(dataset_id) > 200 or not _DATASET_ID.fullmatch(dataset_id):
+    if isinstance(dataset_id, str) and len(dataset_id) > _MAX_ID:
+        raise DatasetIdError(
+            f"malformed dataset id {dataset_id[:80]!r}: it has {len(dataset_id)} characters; "
+            f"valid: at most {_MAX_ID}"
+        )
+    if not isinstance(dataset_id, str) or not _DATASET_ID.fullmatch(dataset_id):
         raise DatasetIdError(
             f"malformed dataset id {str(dataset_id)[:80]!r}; "
             "valid: <namespace>/<name>-v<version>, as in imujoco/hopper-all-v0"

@@ -66,8 +66,7 @@ class Ranges:
     name: str = RANDOMISED
 
     def __post_init__(self) -> None:
-        names = check_parameters(self.robot, self.ranges)
-        if not names:
+        if not isinstance(self.ranges, Mapping) or not (names := check_parameters(self.robot, self.ranges)):
             raise DrawingError(
                 f'no ranges are given; valid: parameter -> percents, as in {{"{_EXAMPLE}": (-50, 100)}}'
             )
@@ -75,7 +74,8 @@ class Ranges:
         if self.distribution not in DISTRIBUTIONS:
             near = suggestion(str(self.distribution)[:80], DISTRIBUTIONS)
             raise DrawingError(
-                f"unknown distribution {self.distribution!r}{near}; valid: {', '.join(DISTRIBUTIONS)}"
+                f"unknown distribution {clipped(self.distribution)!r}{near}; "
+                f"valid: {', '.join(DISTRIBUTIONS)}"
             )
         if not isinstance(self.name, str) or not _NAME.fullmatch(self.name) or self.name in _TAKEN:
             raise DrawingError(

@@ -166,7 +166,6 @@ def test_a_page_with_a_fault_leaves_the_other_robots_alone(folder: Path) -> None
         ("action_size = 3", "action_size = 3" + "0" * 5000, "not TOML"),
         ("feet =", "action_bound = 1" + "0" * 400 + "\nfeet =", "action_bound must be a number above 0"),
         ("[0.7, inf]", "[70.0, inf]", "not healthy at rest"),
-        ('feet = ["foot_geom"]', 'feet = ["boot_geom"]', "no geom 'boot_geom'"),
         ('"Hopper-v5"', '"HalfCheetah-v5"', "healthy_z_range, which HalfCheetah-v5 does not take"),
         (
             "steps_per_second",

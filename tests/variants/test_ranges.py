@@ -82,6 +82,7 @@ def test_a_group_is_drawn_as_one() -> None:
     [
         (("hoper", TWO), r"unknown robot 'hoper' \(did you mean 'hopper'"),
         (("hopper", {}), "no ranges are given; valid: parameter -> percents"),
+        (("hopper", None), "no ranges are given; valid: parameter -> percents"),
         (("hopper", {"mass/torsogem": (0, 1)}), "hopper has no parameter 'mass/torsogem'"),
         (("hopper", {"mass/torsogeom": (5, -5)}), r"range of mass/torsogeom is \(5, -5\); valid: the lowest"),
         (("hopper", {"mass/torsogeom": 5}), "range of mass/torsogeom is 5; valid"),
