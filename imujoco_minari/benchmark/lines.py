@@ -39,13 +39,17 @@ def read_lines(path: Path) -> list[Line]:
     """
     if not path.exists():
         return []
-    *whole, _ = path.read_text("utf-8").split("\n")
+    try:
+        *whole, _ = path.read_text("utf-8").split("\n")
+    except (OSError, UnicodeDecodeError) as error:
+        raise BenchmarkError(f"{path}: cannot be read: {error}") from None
     lines = []
     for number, text in enumerate(whole, start=1):
         try:
             line = json.loads(text)
             line["results"].items()
-        except (ValueError, KeyError, TypeError, AttributeError):
+        # Deep nesting exhausts the stack.
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             raise BenchmarkError(f"{path}, line {number}: not a result of the benchmark") from None
         lines.append(line)
     return lines

@@ -18,7 +18,7 @@ from imujoco_minari.benchmark.lines import Line, latest, read_lines
 from imujoco_minari.benchmark.scores import OTHERS_MARK, MethodScore, few_shot_scores, offline_scores
 from imujoco_minari.benchmark.submissions import check_submission
 from imujoco_minari.benchmark.tables import few_shot_tables, folded, offline_tables, reproduction_table
-from imujoco_minari.errors import BenchmarkError
+from imujoco_minari.errors import BenchmarkError, clipped
 
 _HOW = """A score is a normalised return: 0 is the random policy's and 1 the expert's of the same variant. It
 is an interquartile mean over variants and seeds, with its 95 % bootstrap interval over seeds."""
@@ -52,6 +52,10 @@ _REPRODUCED = """The relative error of the actions on the held-out variants of H
 steps: the mean of the seeds ± their standard deviation."""
 _OTHERS_FOLDER = "others"
 _PROTOCOLS = (protocol.NAME, offline.NAME)
+# What each line has, and what of it names figures and stands on the page.
+_ENTRIES = ("protocol", "method", "settings", "seed", "versions", "results")
+_NAMES = ("method", "split", "tier", "robot", "budget")
+_NAME = re.compile(r"[\w%+.:,=() -]{1,100}")
 
 
 @dataclass(frozen=True)
@@ -90,12 +94,27 @@ def read_results(folder: Path) -> Results:
         BenchmarkError: if the folder has none, a line is not a result, or lines of others have a fault.
     """
     few, off, reproduced = (
-        latest(read_lines(folder / each.FILE), each.CELL) for each in (few_shot, offline, reproduction)
+        latest(_named(folder / each.FILE, each.CELL), each.CELL) for each in (few_shot, offline, reproduction)
     )
     found = Results(few, off, reproduced, list(_others(folder / _OTHERS_FOLDER)))
     if not found.all():
         raise BenchmarkError(f"{folder} has no results: `imujoco benchmark few-shot` computes some")
     return found
+
+
+def _named(file: Path, cell: tuple[str, ...]) -> Iterator[Line]:
+    """Yield the lines of a file. Their names are safe in file names and in Markdown."""
+    for number, line in enumerate(read_lines(file), start=1):
+        for key in (*_ENTRIES, *cell):
+            if key not in line:
+                raise BenchmarkError(f"{file}, line {number}: not a result of the benchmark: it has no {key}")
+        for key in _NAMES:
+            if key in line and not (isinstance(line[key], str) and _NAME.fullmatch(line[key])):
+                raise BenchmarkError(
+                    f"{file}, line {number}: {key} is {clipped(ascii(line[key]))}; valid: letters, digits, "
+                    "spaces and _ % + . : , = ( ) -"
+                )
+        yield line
 
 
 def _others(folder: Path) -> Iterator[Line]:

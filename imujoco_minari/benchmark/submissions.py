@@ -79,6 +79,8 @@ def check_submission(folder: Path) -> list[str]:
             for number, text in _texts(file):
                 line = _parsed(text)
                 found = ["not a JSON object"] if line is None else shape(line)
+                if not text.endswith(b"\n"):
+                    found = ["it has no line break at its end, so it may be incomplete"]
                 if line is not None and not found:
                     kept = {key: line[key] for key in _KEPT if key in line}
                     lines.append(kept | {"results": sorted(line["results"])})
@@ -124,7 +126,8 @@ def _texts(file: Path) -> Iterator[tuple[int, bytes]]:
 
 def _parsed(text: bytes) -> Mapping[str, Any] | None:
     try:
-        line = json.loads(text)
+        # Of bytes, json would also take other encodings, which the page cannot read.
+        line = json.loads(text.decode("utf-8"))
     # Deep nesting exhausts the stack.
     except (ValueError, RecursionError):
         return None

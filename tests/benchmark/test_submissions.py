@@ -167,3 +167,39 @@ def test_the_page_marks_lines_of_others_and_refuses_faulty_ones(
     written(own, whole[1:])
     with pytest.raises(BenchmarkError, match=r"mine: few-shot.jsonl: hopper-random-v1, expert: lacks"):
         read_results(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        ({"split": "hopper-random-v1/../../../x"}, r"line 1: split is 'hopper-random-v1/\.\./"),
+        ({"method": "<script>x</script>|\n# H"}, r"line 1: method is '<script>"),
+        ({"tier": None}, "line 1: tier is None"),
+    ],
+)
+def test_a_name_that_would_leave_the_folder_or_change_the_page_is_refused(
+    whole: list[dict[str, Any]], tmp_path: Path, change: dict[str, Any], fault: str
+) -> None:
+    with pytest.raises(BenchmarkError, match=fault):
+        read_results(written(tmp_path, [whole[0] | change]))
+
+
+def test_a_line_that_lacks_an_entry_is_named(whole: list[dict[str, Any]], tmp_path: Path) -> None:
+    line = {key: value for key, value in whole[0].items() if key != "variant"}
+    with pytest.raises(BenchmarkError, match="line 1: not a result of the benchmark: it has no variant"):
+        read_results(written(tmp_path, [line]))
+
+
+@pytest.mark.parametrize("start", [b"\xef\xbb\xbf", b'{"a":"\xed\xa0\x80"}\n'])
+def test_the_check_refuses_the_bytes_that_the_page_cannot_read(
+    whole: list[dict[str, Any]], tmp_path: Path, start: bytes
+) -> None:
+    file = written(tmp_path, whole) / few_shot.FILE
+    file.write_bytes(start + file.read_bytes())
+    assert any("line 1: not a JSON object" in fault for fault in check_submission(tmp_path))
+
+
+def test_an_incomplete_last_line_is_a_fault(whole: list[dict[str, Any]], tmp_path: Path) -> None:
+    file = written(tmp_path, whole) / few_shot.FILE
+    file.write_bytes(file.read_bytes().rstrip())
+    assert "line 175: it has no line break at its end" in check_submission(tmp_path)[0]
