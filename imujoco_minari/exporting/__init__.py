@@ -148,7 +148,7 @@ def _writer(format: str) -> Writer:
     if not isinstance(format, str) or format not in FORMATS:
         shown = clipped(format)
         raise FormatError(
-            f"unknown format {shown!r}{suggestion(shown, FORMATS)}; valid: {', '.join(FORMATS)}"
+            f"unknown format {shown!r}{suggestion(shown, FORMATS)}; valid: {', '.join((*FORMATS, ARCHIVE))}"
         )
     module: Any = import_module(f"imujoco_minari.exporting.{FORMATS[format][0]}")
     return cast(Writer, module)

@@ -96,7 +96,12 @@ def universal_policy(robot: str, folder: Path | None = None) -> UniversalPolicy 
         PolicyError: if its files are damaged.
     """
     path = find_policy_file(f"{universal_name(robot)}.safetensors", folder)
-    return None if path is None else read_universal(path)
+    if path is None:
+        return None
+    policy = read_universal(path)
+    if policy.robot != robot:
+        raise PolicyError(f"{path}: this is the universal policy of {policy.robot}, not of {robot}")
+    return policy
 
 
 def _folded_record(variant: Variant, folder: Path | None = None) -> Mapping[str, Any]:

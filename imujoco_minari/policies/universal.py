@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from imujoco_minari.errors import ImujocoError, PolicyError, PolicyNotFoundError, clipped
 from imujoco_minari.policies.actors import Actor
 from imujoco_minari.policies.doors import Array
-from imujoco_minari.policies.files import actor_of_bytes
+from imujoco_minari.policies.files import MAX_SAFETENSORS_BYTES, actor_of_bytes
 from imujoco_minari.variants import Variant, specification
 from imujoco_minari.variants.context import parameters
 
@@ -170,16 +170,30 @@ def read_universal(weights: Path) -> UniversalPolicy:
 @lru_cache(maxsize=8)
 def _read(weights: Path, path: Path, *changed: int) -> UniversalPolicy:
     try:
+        for file in (weights, path):
+            if (size := file.stat().st_size) > MAX_SAFETENSORS_BYTES:
+                raise PolicyError(f"{file.name} has {size} bytes; the limit is {MAX_SAFETENSORS_BYTES}")
         record = json.loads(path.read_text("utf-8"))
         ranges = record["ranges"]
         robot, names = record["robot"], parameters(record["robot"])
         low, high = np.array([ranges[name] for name in names], float).reshape(len(names), 2).T / 100
         if not (np.isfinite([low, high]).all() and (low <= high).all()):
             raise ValueError("a range must be two finite numbers, the lower one first")
-        if not isinstance(record["measured"], dict) or not isinstance(record["algorithm"], str):
-            raise ValueError("measured must be a table and algorithm a text")
+        if not all(isinstance(each, dict) for each in (record["measured"], *record["measured"].values())):
+            raise ValueError("measured must be a table of tables")
+        if not isinstance(record["algorithm"], str):
+            raise ValueError("algorithm must be a text")
         actor = actor_of_bytes(weights.read_bytes(), weights.name, record["algorithm"], True, {})
-    except (ValueError, KeyError, TypeError, OverflowError, RecursionError, OSError, ImujocoError) as error:
+    except (
+        ValueError,
+        KeyError,
+        TypeError,
+        AttributeError,
+        OverflowError,
+        RecursionError,
+        OSError,
+        ImujocoError,
+    ) as error:
         reason = clipped(str(error) if isinstance(error, ImujocoError) else repr(error))
         raise PolicyError(f"{path}: not the record of a universal policy: {reason}") from None
     return UniversalPolicy(robot, actor, low, high, record)

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from imujoco_minari.errors import DatasetError, DatasetIdError, ImujocoError, StorageError
+from imujoco_minari.variants.ids import EXPERT, Variant, split_name
 
 # Minari's grammar of ids, without the leading dots, double slashes and ".." that could leave the root.
 _DATASET_ID = re.compile(r"(?:[A-Za-z0-9_][-\w]*/)+[A-Za-z0-9_][-\w]*-v[0-9]{1,6}", re.ASCII)
@@ -49,7 +50,7 @@ def dataset_folder(dataset_id: str) -> Path:
         )
     if not isinstance(dataset_id, str) or not _DATASET_ID.fullmatch(dataset_id):
         raise DatasetIdError(
-            f"malformed dataset id {str(dataset_id)[:80]!r}; "
+            f"malformed dataset id {str(dataset_id)[:80]!r}{_with_namespace(dataset_id)}; "
             "valid: <namespace>/<name>-v<version>, as in imujoco/hopper-all-v0"
         )
     if len(dataset_id.rpartition("/")[0]) < 2:
@@ -59,6 +60,15 @@ def dataset_folder(dataset_id: str) -> Path:
         # Minari reads every folder that contains a "data" as a dataset and does not look inside it.
         raise DatasetIdError(f"malformed dataset id {dataset_id!r}: a namespace cannot be named 'data'")
     return datasets_root() / dataset_id
+
+
+def _with_namespace(name: object) -> str:
+    """Return the dataset id that was probably meant, if this is the id of a variant."""
+    try:
+        variant, tier = split_name(str(name)[:_MAX_ID].removesuffix("-v0"))
+        return f" (did you mean {Variant.parse(variant).dataset_id(tier or EXPERT)!r}?)"
+    except ImujocoError:
+        return ""
 
 
 def exists(dataset_id: str) -> bool:

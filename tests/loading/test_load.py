@@ -380,6 +380,7 @@ def test_statistics_of_another_robot_are_refused(small_datasets: list[str]) -> N
         (3, "not int"),
         ([None], "not NoneType"),
         ("hopper", "malformed dataset id 'hopper'"),
+        ("hopper-base-random", r"did you mean 'imujoco/hopper-base-random-v0'\?"),
     ],
 )
 def test_what_is_not_a_dataset_is_refused(load: Callable[[Any], object], datasets: Any, message: str) -> None:

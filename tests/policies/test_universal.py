@@ -186,3 +186,25 @@ def test_a_malformed_record_is_named_in_one_line(
         read_universal(path.with_suffix(".safetensors"))
     assert len(str(caught.value)) < 400 + len(str(path))
     assert "\n" not in str(caught.value)
+
+
+def test_files_of_another_robot_or_with_other_measurements_are_named(tmp_path: Path) -> None:
+    for ending in ("json", "safetensors"):
+        file = tmp_path / f"hopper-universal.{ending}"
+        file.write_bytes((shipped_folder() / f"walker2d-universal.{ending}").read_bytes())
+    with pytest.raises(PolicyError, match="this is the universal policy of walker2d, not of hopper"):
+        universal_policy("hopper", tmp_path)
+    record = json.loads((shipped_folder() / "walker2d-universal.json").read_text("utf-8"))
+    for measured in ({"walker2d-base": None}, None):
+        text = json.dumps(record | {"measured": measured})
+        (tmp_path / "hopper-universal.json").write_text(text)
+        with pytest.raises(PolicyError, match="not the record of a universal policy"):
+            universal_policy("hopper", tmp_path)
+
+
+def test_weights_of_any_size_are_not_read(tmp_path: Path) -> None:
+    (tmp_path / "hopper-universal.json").write_text("{}")
+    with (tmp_path / "hopper-universal.safetensors").open("wb") as file:
+        file.truncate(2**40)
+    with pytest.raises(PolicyError, match=f"has {2**40} bytes; the limit is"):
+        universal_policy("hopper", tmp_path)
