@@ -179,10 +179,11 @@ def _read(weights: Path, path: Path, *changed: int) -> UniversalPolicy:
         low, high = np.array([ranges[name] for name in names], float).reshape(len(names), 2).T / 100
         if not (np.isfinite([low, high]).all() and (low <= high).all()):
             raise ValueError("a range must be two finite numbers, the lower one first")
-        if not all(isinstance(each, dict) for each in (record["measured"], *record["measured"].values())):
+        measured = record["measured"]
+        if not isinstance(measured, dict) or not isinstance(record["algorithm"], str):
+            raise ValueError("measured must be a table and algorithm a text")
+        if not all(isinstance(each, dict) for each in measured.values()):
             raise ValueError("measured must be a table of tables")
-        if not isinstance(record["algorithm"], str):
-            raise ValueError("algorithm must be a text")
         actor = actor_of_bytes(weights.read_bytes(), weights.name, record["algorithm"], True, {})
     except (
         ValueError,
