@@ -90,6 +90,9 @@ class Sampler:
         self._episodes = [np.flatnonzero(variants == place) for place in range(len(data.table))]
         self._lengths = np.minimum(data.episode_lengths, self._horizon)
 
+    def __repr__(self) -> str:
+        return f"Sampler({self.arrays!r}, horizon {self._horizon})"
+
     def __len__(self) -> int:
         """The number of variants (and tiers) to draw from."""
         return len(self.arrays.table)

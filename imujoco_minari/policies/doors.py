@@ -23,8 +23,12 @@ class Doors:
         raise NotImplementedError
 
     def __call__(self, observation: Array, rng: np.random.Generator | None = None) -> Array:
-        """Return what ``act`` returns."""
-        return self.act(observation, rng)
+        """Return what ``act`` returns.
+
+        Raises:
+            ArgumentError: when the observation has another length than the policy takes.
+        """
+        return self.act(self._fitting(observation), rng)
 
     def predict(
         self,
@@ -45,14 +49,25 @@ class Doors:
             rng: source of the sample; a deterministic action does not use it.
 
         Raises:
-            ArgumentError: when an action is sampled without ``rng``, or a random policy is asked for a mode.
+            ArgumentError: when the observation has another length than the policy takes, an action is
+                sampled without ``rng``, or a random policy is asked for a mode.
 
         Example:
             >>> action, _ = load_policy("hopper-base").predict(observation)  # doctest: +SKIP
         """
+        observation = self._fitting(observation)
         if deterministic is None or deterministic == self.deterministic:
             return self.act(observation, rng), None
         return self.changed(deterministic).act(observation, rng), None
+
+    def _fitting(self, observation: Array) -> Array:
+        """Return the observation as an array of a length that the policy takes."""
+        array, size = np.asarray(observation), getattr(self, "observation_size", None)
+        if size is not None and array.shape[-1:] != (size,):
+            raise ArgumentError(
+                f"the observation has the shape {array.shape}; valid: ({size},), or (batch, {size})"
+            )
+        return array
 
     def changed(self, deterministic: bool) -> Doors:
         """Return the same policy, acting deterministically or not."""

@@ -50,3 +50,12 @@ def test_a_random_policy_acts_for_a_batch_and_has_no_mode() -> None:
 
 def test_a_policy_is_still_evaluated_as_itself() -> None:
     assert evaluate("hopper-base", load_policy("hopper-base"), episodes=1).return_mean > 3000
+
+
+@pytest.mark.parametrize("observation", [np.zeros(12), np.zeros((2, 3)), 1.0])
+def test_an_observation_of_another_length_is_named(observation: np.ndarray) -> None:
+    policy = load_policy("hopper-base")
+    for door in (policy, policy.predict):  # type: ignore[attr-defined]
+        with pytest.raises(ArgumentError, match=r"valid: \(11,\), or \(batch, 11\)"):
+            door(observation)  # type: ignore[operator]
+    assert policy([0.0] * 11).shape == (3,)  # type: ignore[operator]
