@@ -59,7 +59,7 @@ def test_arrays_print_a_summary(small_datasets: list[str]) -> None:
     assert f"{len(data)} transitions, float32, 0.0 MB" in repr(data)
     assert len(str(data)) < 150
     assert repr(arrays(small_datasets[0])).startswith("Arrays(hopper-base, random: 8 episodes")
-    assert repr(Sampler(small_datasets[0])).startswith("Sampler(Arrays(hopper-base, random: 8 episodes")
+    assert repr(Sampler(small_datasets[0])).startswith("Sampler(Arrays(hopper-base, random: 6 episodes")
 
 
 def test_randomised_takes_the_catalogues_ranges() -> None:
