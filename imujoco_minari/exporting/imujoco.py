@@ -12,7 +12,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from imujoco_minari.envs.mjcf import canonical_mjcf, mjcf_sha256
-from imujoco_minari.errors import DatasetError
+from imujoco_minari.errors import DatasetError, VariantError
 from imujoco_minari.exporting.npz import write_table
 from imujoco_minari.loading import arrays
 from imujoco_minari.policies import Actor, load_policy
@@ -48,7 +48,10 @@ def write(dataset_ids: Sequence[str], target: Path, on_dataset: Callable[[], Non
     chosen: dict[Variant, str] = {}
     actors: list[Actor] = []
     for dataset_id in dict.fromkeys(dataset_ids):
-        variant, tier = parse_dataset_id(dataset_id)
+        try:
+            variant, tier = parse_dataset_id(dataset_id)
+        except VariantError as error:
+            raise VariantError(f"the format imujoco takes datasets of one variant each: {error}") from None
         if chosen.setdefault(variant, dataset_id) != dataset_id:
             raise DatasetError(
                 f"{chosen[variant]} and {dataset_id} are of one variant; the archive has one dataset of each"
