@@ -162,12 +162,13 @@ def _write_episodes(
     with writing(file_format.main_file(data), new=True) as target:
         # Linking reads no array, so a damaged file does no harm.
         for source in sources if link else _check_files(sources):
-            with source.opened() as file:
+            with source.opened() as links:
+                file = links.file
                 attributes += source.attributes(file)
                 if linked_from is None:
-                    copying.copy_episodes(file, source.episodes, target, source.dataset_id)
+                    copying.copy_episodes(links, source.episodes, target, source.dataset_id)
                 else:
-                    copying.link_episodes(file, source.episodes, target, relpath(source.file, linked_from))
+                    copying.link_episodes(links, source.episodes, target, relpath(source.file, linked_from))
                 content += source.content(file, link=link)
                 steps += source.steps(file)
         shared, digest = _shared_attributes(attributes), file_format.collection_digest(content, link=link)

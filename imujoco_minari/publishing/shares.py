@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from minari.dataset.minari_storage import MinariStorage
 
@@ -20,6 +19,7 @@ from imujoco_minari.policies.tiers import TierPart
 from imujoco_minari.publishing.collector import collect
 from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.storage import copying, file_format
+from imujoco_minari.storage.containment import LinkedFiles
 from imujoco_minari.storage.quiet_file import writing
 from imujoco_minari.variants import Ranges
 
@@ -96,8 +96,8 @@ def _join_shares(folders: Sequence[Path], data: Path) -> None:
     steps = storage.total_steps
     with writing(file_format.main_file(first)) as target:
         for other in others:
-            with h5py.File(file_format.main_file(other), "r") as source:
-                copying.copy_episodes(source, range(len(source)), target, "")
+            with LinkedFiles(file_format.main_file(other)) as source:
+                copying.copy_episodes(source, range(len(source.file)), target, "")
             steps += MinariStorage.read(other).total_steps
             shutil.rmtree(other)
         episodes = len(target)

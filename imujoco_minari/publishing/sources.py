@@ -17,6 +17,7 @@ from minari.serialization import deserialize_space
 from imujoco_minari.errors import DatasetError, check_one_robot
 from imujoco_minari.loading.selection import view_of
 from imujoco_minari.storage import copying, file_format, minari_root
+from imujoco_minari.storage.containment import LinkedFiles
 from imujoco_minari.storage.metadata import read_metadata
 from imujoco_minari.verification.findings import same
 
@@ -65,14 +66,15 @@ class Source:
         return list(self.episodes) == list(range(int(self.metadata.get("total_episodes", -1))))
 
     @contextmanager
-    def opened(self) -> Iterator[h5py.File]:
+    def opened(self) -> Iterator[LinkedFiles]:
         """Open the HDF5 file and check that it belongs to the metadata.
 
         Raises:
             DatasetError: if the dataset was replaced or deleted after its metadata were read.
         """
         try:
-            with h5py.File(self.file, "r") as file:
+            with LinkedFiles(self.file) as links:
+                file = links.file
                 same_folder = self.folder == minari_root.folder_identity(self.data)
                 digest = self.metadata.get("content_sha256")
                 if not same_folder or not same(file.attrs.get("content_sha256"), digest):
@@ -84,7 +86,7 @@ class Source:
                         f"{self.dataset_id} states {self.metadata['total_episodes']} episodes, but its file "
                         f"holds {len(file)}: see `imujoco verify {self.dataset_id}`"
                     )
-                yield file
+                yield links
         except FileNotFoundError:
             raise self.deleted() from None
 
@@ -116,7 +118,8 @@ class Source:
         """Return the identifying attributes of each episode."""
         if all(key in file.attrs for key in file_format.IDENTITY):
             return [{key: file.attrs[key] for key in file_format.IDENTITY}] * len(self.episodes)
-        return copying.episode_attributes(file, self.episodes, file_format.IDENTITY)
+        groups = (file[file_format.episode_name(number)].attrs for number in self.episodes)
+        return [{key: attrs[key] for key in file_format.IDENTITY if key in attrs} for attrs in groups]
 
 
 def open_source(dataset: MinariDataset | str) -> Source:

@@ -53,8 +53,8 @@ def check_current(dataset_id: str, sources: Sequence[Source], *, link: bool) -> 
     now: list[Any] = []
     try:
         for source in sources:
-            with source.opened() as file:
-                now += source.content(file, link=link)
+            with source.opened() as links:
+                now += source.content(links.file, link=link)
     except (KeyError, ValueError, TypeError, RuntimeError, OSError) as error:
         if isinstance(error, DatasetError):
             raise

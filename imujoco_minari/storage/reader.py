@@ -9,20 +9,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from imujoco_minari.errors import DatasetError
-from imujoco_minari.storage import containment, file_format
+from imujoco_minari.storage import containment
 
 Array = NDArray[Any]
 
 
-class EpisodeFile:
+class EpisodeFile(ExitStack):
     """A ``main_data.hdf5`` that is open for reading. Links within the Minari root are followed.
 
     Args:
@@ -34,32 +33,26 @@ class EpisodeFile:
     """
 
     def __init__(self, path: Path, name: str) -> None:
+        super().__init__()
         self.name = name
-        self._stack = ExitStack()
         self._types: dict[np.dtype[Any], h5py.h5t.TypeID] = {}
-        self._files: dict[Path, h5py.File] = {}
-        self._followed: containment.Followed = {}
         # Most episodes are used twice, for their length and for their arrays.
         self._groups: dict[int, h5py.h5g.GroupID] = {}
-        self._data = path.absolute().parent
-        self._file = self._open_file(path.absolute())
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stack.close()
+        try:
+            # An array has few chunks, but the default cache makes a table of 521 slots for each array.
+            files = containment.LinkedFiles(path.absolute(), rdcc_nslots=31)
+        except OSError as error:
+            raise DatasetError(f"{name}: {path} cannot be read: {error}") from None
+        self._files = self.enter_context(files)
 
     @property
     def attributes(self) -> Mapping[str, Any]:
         """The attributes of the file."""
-        return dict(self._file.attrs)
+        return dict(self._files.file.attrs)
 
     def numbers(self) -> range:
         """Return the numbers of all episodes of the file."""
-        return range(len(self._file))
+        return range(len(self._files.file))
 
     def episode_attributes(self, episode: int, names: Sequence[str]) -> dict[str, Any]:
         """Return the attributes among ``names`` that an episode has."""
@@ -119,12 +112,15 @@ class EpisodeFile:
         """Return an episode's group, following a link."""
         if episode in self._groups:
             return self._groups[episode]
-        name = file_format.episode_name(episode).encode()
         try:
             # If HDF5 followed the link, it would open and close the other file for every episode.
-            file, name = containment.follow(self._file, name, self._data, self._open_file, self._followed)
+            file, name = self._files.find(episode)
         except KeyError:
             raise DatasetError(f"{self.name} has no episode {episode}") from None
+        except OSError as error:
+            raise DatasetError(
+                f"{self.name}: the file of episode {episode} cannot be read: {error}"
+            ) from None
         try:
             group = h5py.h5g.open(file.id, name)
         except (KeyError, ValueError):
@@ -132,15 +128,6 @@ class EpisodeFile:
         containment.check_links(group, f"{self.name}: episode {episode}: ")
         self._groups[episode] = group
         return group
-
-    def _open_file(self, path: Path) -> h5py.File:
-        if path not in self._files:
-            try:
-                # An array has few chunks, but the default cache makes a table of 521 slots for each array.
-                self._files[path] = self._stack.enter_context(h5py.File(path, "r", rdcc_nslots=31))
-            except OSError as error:
-                raise DatasetError(f"{self.name}: {path} cannot be read: {error}") from None
-        return self._files[path]
 
     def _open_array(self, group: h5py.h5g.GroupID, name: str, episode: int) -> h5py.h5d.DatasetID:
         try:

@@ -16,7 +16,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from imujoco_minari.errors import DatasetExistsError
-from imujoco_minari.storage.atomic import (
+from imujoco_minari.storage.files import (
     exchange,
     rename_new,
     sync_folder,

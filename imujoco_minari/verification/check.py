@@ -15,6 +15,7 @@ from typing import Any
 import h5py
 
 from imujoco_minari.storage import file_format
+from imujoco_minari.storage.containment import LinkedFiles
 from imujoco_minari.storage.metadata import METADATA_FILE
 from imujoco_minari.variants.original import CATALOGUE, variant_of
 from imujoco_minari.verification import bounded_read, digests, expected, identity, structure
@@ -119,11 +120,11 @@ def _check(part: PartialCheck, data: Path, metadata: Mapping[str, Any], number: 
     if number == 0:
         # This comes before the file is opened, so that it is reported of a file that cannot be read too.
         part.findings += [*digests.files(data, metadata), *identity.loadable(metadata)]
-    with h5py.File(file_format.main_file(data), "r") as file:
-        bounded_read.check_names(file)
-        part.episodes, root = len(file), bounded_read.attributes(file.id, "")
+    with LinkedFiles(file_format.main_file(data)) as files:
+        bounded_read.check_names(files.file)
+        part.episodes, root = len(files.file), bounded_read.attributes(files.file.id, "")
         for episode in range(part.episodes * number // count, part.episodes * (number + 1) // count):
-            _check_episode(part, bounded_read.look(file, data, episode), episode, root, metadata)
+            _check_episode(part, bounded_read.look(files, episode), episode, root, metadata)
             if len(part.findings) >= MAX_FINDINGS:
                 part.sound = False
                 return
