@@ -9,7 +9,7 @@ import numpy as np
 from imujoco_minari.errors import ArgumentError
 from imujoco_minari.policies import load_policy
 from imujoco_minari.policies.evaluation import evaluate
-from imujoco_minari.publishing.new_dataset import Published
+from imujoco_minari.publishing.outcome import Published
 from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.storage import transactions
 from imujoco_minari.storage.metadata import read_metadata

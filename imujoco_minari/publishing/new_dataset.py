@@ -19,6 +19,7 @@ from minari.data_collector import EpisodeBuffer
 
 from imujoco_minari.envs.mjcf import mjcf_sha256
 from imujoco_minari.errors import DatasetError, DatasetExistsError, clipped
+from imujoco_minari.publishing.outcome import Published
 from imujoco_minari.storage import file_format, minari_root, transactions
 from imujoco_minari.storage.metadata import complete_metadata, read_metadata
 from imujoco_minari.storage.quiet_file import writing
@@ -27,37 +28,6 @@ from imujoco_minari.verification import inspect
 
 # Metadata keys that identify the origin of given episodes.
 _ORIGIN_KEYS = ("source", "source_sha256", "seed", "policy_sha256")
-
-
-@dataclass(frozen=True)
-class Published:
-    """The outcome of publishing one dataset.
-
-    Attributes:
-        dataset_id: the dataset's id.
-        path: folder of the dataset; None if the publication failed.
-        created: whether this call made it; False if it existed already.
-        episodes: number of episodes.
-        steps: number of steps.
-        return_mean: mean undiscounted return of the episodes.
-        return_std: standard deviation of the returns.
-        content_sha256: digest of the arrays.
-        seconds: wall time.
-        error: why the publication failed; empty on success.
-        missing: whether it failed because something that was asked for does not exist.
-    """
-
-    dataset_id: str
-    path: Path | None = None
-    created: bool = False
-    episodes: int = 0
-    steps: int = 0
-    return_mean: float = float("nan")
-    return_std: float = float("nan")
-    content_sha256: str = ""
-    seconds: float = 0.0
-    error: str = ""
-    missing: bool = False
 
 
 @dataclass(frozen=True)
@@ -215,7 +185,7 @@ def _read_outcome(dataset_id: str, *, created: bool, seconds: float = 0.0) -> Pu
     return Published(
         dataset_id,
         path,
-        created,
+        created=created,
         episodes=len(returns),
         steps=steps,
         return_mean=statistics["return_mean"],

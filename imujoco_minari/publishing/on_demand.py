@@ -12,7 +12,7 @@ from rich.progress import Progress
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError, VariantError
 from imujoco_minari.policies.tiers import RECORDED
 from imujoco_minari.publishing.combiner import combine_datasets
-from imujoco_minari.publishing.new_dataset import Published
+from imujoco_minari.publishing.outcome import Published
 from imujoco_minari.publishing.publisher import publish_all, publish_recipe
 from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.storage import minari_root

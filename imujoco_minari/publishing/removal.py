@@ -3,34 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import h5py
 
 from imujoco_minari.errors import DatasetError, ImujocoError
+from imujoco_minari.publishing.outcome import Deleted
 from imujoco_minari.storage import file_format, minari_root, transactions
 from imujoco_minari.storage.metadata import METADATA_FILE, read_metadata, sources
 from imujoco_minari.storage.missing import not_in_root
-
-
-@dataclass(frozen=True)
-class Deleted:
-    """The outcome of deleting one dataset.
-
-    Attributes:
-        dataset_id: the dataset's id.
-        path: its former folder; None if the deletion failed.
-        bytes: size of its files.
-        error: why the deletion failed; empty on success.
-        missing: whether it failed because the root has no such dataset.
-    """
-
-    dataset_id: str
-    path: Path | None = None
-    bytes: int = 0
-    error: str = ""
-    missing: bool = False
 
 
 def delete(dataset_ids: Sequence[str], *, force: bool = False) -> Iterator[Deleted]:
@@ -53,7 +34,7 @@ def delete(dataset_ids: Sequence[str], *, force: bool = False) -> Iterator[Delet
             with minari_root.storage_errors(minari_root.dataset_folder(dataset_id)):
                 outcome = _delete(dataset_id, set() if force else links.get(dataset_id, set()))
         except ImujocoError as error:
-            outcome = Deleted(dataset_id, error=str(error), missing=error.missing)
+            outcome = Deleted.failed(dataset_id, error)
         else:
             for collections in links.values():
                 collections.discard(dataset_id)
@@ -79,7 +60,7 @@ def _delete(dataset_id: str, collections: set[str]) -> Deleted:
         )
     size = sum(path.lstat().st_size for path in data.rglob("*") if path.is_file())
     transactions.remove(dataset_id)
-    return Deleted(dataset_id, folder, size)
+    return Deleted(dataset_id, folder, bytes=size)
 
 
 def linked_collections() -> dict[str, set[str]]:

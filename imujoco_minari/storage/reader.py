@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,8 @@ from imujoco_minari.errors import DatasetError
 from imujoco_minari.storage import containment
 
 Array = NDArray[Any]
+
+_hdf5_type = cache(partial(h5py.h5t.py_create, logical=True))
 
 
 class EpisodeFile(ExitStack):
@@ -35,7 +38,6 @@ class EpisodeFile(ExitStack):
     def __init__(self, path: Path, name: str) -> None:
         super().__init__()
         self.name = name
-        self._types: dict[np.dtype[Any], h5py.h5t.TypeID] = {}
         # Most episodes are used twice, for their length and for their arrays.
         self._groups: dict[int, h5py.h5g.GroupID] = {}
         try:
@@ -97,16 +99,11 @@ class EpisodeFile(ExitStack):
                     f"{self.name}: episode {episode}: {name} have shape {stored.shape}, not {out.shape}"
                 )
             try:
-                stored.read(h5py.h5s.ALL, h5py.h5s.ALL, out, self._hdf5_type(out.dtype))
+                stored.read(h5py.h5s.ALL, h5py.h5s.ALL, out, _hdf5_type(out.dtype))
             except (OSError, TypeError) as error:
                 raise DatasetError(
                     f"{self.name}: episode {episode}: {name} cannot be read as {out.dtype}: {error}"
                 ) from None
-
-    def _hdf5_type(self, dtype: np.dtype[Any]) -> h5py.h5t.TypeID:
-        if dtype not in self._types:
-            self._types[dtype] = h5py.h5t.py_create(dtype, logical=True)
-        return self._types[dtype]
 
     def _open_group(self, episode: int) -> h5py.h5g.GroupID:
         """Return an episode's group, following a link."""

@@ -22,6 +22,7 @@ from imujoco_minari.storage import file_format
 from imujoco_minari.storage.metadata import PACKAGES, code_address, requirements, sources
 from imujoco_minari.variants import NAMESPACE, Variant, specification
 from imujoco_minari.variants.original import OriginalVariant, names_variant
+from imujoco_minari.verification.content import Content
 from imujoco_minari.verification.findings import Finding, differing, differs, plain, shown
 
 _POLICY_DIGESTS = re.compile(r"[0-9a-f]{64}(,[0-9a-f]{64})*", re.ASCII)
@@ -31,28 +32,6 @@ _REFERENCES = (
     ("num_episodes_average_score", "ref_min_evaluation", "episodes"),
     ("ref_max_score", "ref_max_evaluation", "return_mean"),
 )
-
-
-@dataclass(frozen=True)
-class Content:
-    """A summary of what the episodes of a dataset state.
-
-    Attributes:
-        identities: the variants and tiers of the episodes, each pair once.
-        episodes: number of episodes.
-        runs: the number of the first episode of each run of episodes that have the same attributes of
-            their policy (``rank``, ``rung``, ...), and these attributes.
-        unreplayed: number of episodes that were imported without seeds.
-        returns: return of each episode.
-        repeated: number of episodes that are equal to an earlier one.
-    """
-
-    identities: Sequence[tuple[Variant, str]]
-    episodes: int
-    runs: Sequence[tuple[int, Mapping[str, Any]]]
-    unreplayed: int
-    returns: Sequence[float]
-    repeated: int
 
 
 @dataclass(frozen=True)
@@ -169,9 +148,8 @@ def compare(metadata: Mapping[str, Any], content: Content, here: Known | None) -
         here: what :func:`known` returns.
     """
     expected = _identity(metadata, content) | _versions(metadata, content)
-    # Collections and datasets of earlier versions state no returns.
     statistics = file_format.return_statistics(content.returns)
-    expected |= statistics if statistics.keys() & metadata.keys() else {}
+    expected |= dict.fromkeys(statistics) if is_collection(metadata) else statistics
     if here is not None:
         yield from _origin(metadata, imported=content.unreplayed > 0)
         expected |= _shape_of_references(metadata)
@@ -199,8 +177,8 @@ def exceptions(metadata: Mapping[str, Any], content: Content, here: Known | None
             f"{content.unreplayed} of {content.episodes} episodes were not replayed: "
             "they were imported without seeds"
         )
-    if content.repeated:
-        yield f"{content.repeated} of its episodes are equal to earlier ones"
+    if repeated := content.episodes - len(set(content.digests)):
+        yield f"{repeated} of its episodes are equal to earlier ones"
     if any(isinstance(variant, OriginalVariant) for variant, _ in content.identities):
         yield "its models are the ones that it stores: the original archive is not known here"
     if is_collection(metadata) and names_variant(str(metadata.get("dataset_id"))):
@@ -249,10 +227,8 @@ def _randomised_identity(metadata: Mapping[str, Any], content: Content) -> dict[
 
 
 def _versions(metadata: Mapping[str, Any], content: Content) -> dict[str, Any]:
-    """Return what the stated versions decide. Early collections state none."""
+    """Return what the stated versions decide."""
     versions = metadata.get("versions")
-    if versions is None and is_collection(metadata):
-        return {}
     if not isinstance(versions, dict) or any(not isinstance(versions.get(name), str) for name in PACKAGES):
         return {"versions": f"the versions of {', '.join(PACKAGES)}"}
     expected: dict[str, Any] = {"minari_version": versions["minari"]}

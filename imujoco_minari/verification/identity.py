@@ -26,7 +26,7 @@ from imujoco_minari.variants import Variant
 from imujoco_minari.variants.original import CATALOGUE, variant_of
 from imujoco_minari.verification import expected, structure
 from imujoco_minari.verification.bounded_read import Episode
-from imujoco_minari.verification.expected import Content
+from imujoco_minari.verification.content import Content
 from imujoco_minari.verification.findings import Finding, differing, differs, plain, same, shown
 from imujoco_minari.verification.replay import simulator
 
