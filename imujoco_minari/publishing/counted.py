@@ -43,9 +43,7 @@ def publish_transitions(
 
     Raises:
         ArgumentError: if ``transitions`` is less than 1.
-        VariantError: if there is no such variant.
-        DatasetExistsError: if the root has another dataset with this id and ``force`` is false.
-        PolicyNotFoundError: if no single policy makes the tier.
+        ImujocoError: what :func:`~imujoco_minari.publish` raises.
     """
     if transitions < 1:
         raise ArgumentError(f"a dataset has at least one transition, not {transitions}")

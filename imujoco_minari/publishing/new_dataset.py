@@ -50,12 +50,12 @@ class NewDataset:
 def publish_episodes(
     dataset: NewDataset, spec: EnvSpec, episodes: Iterable[EpisodeBuffer], *, force: bool = False
 ) -> Published:
-    """Publish given episodes as a dataset.
+    """Publish given episodes, in order, as a dataset.
 
     Args:
         dataset: the dataset, without its episodes.
         spec: specification of the environment that the dataset recovers.
-        episodes: the episodes, in order.
+        episodes: the episodes.
         force: replace the dataset that has the id.
 
     Raises:
@@ -80,15 +80,9 @@ def publish_episodes(
 
 
 def publish_written(dataset: NewDataset, write: Callable[[Path], None], *, force: bool) -> Published:
-    """Publish a dataset whose episodes a function writes.
+    """Publish a dataset as :func:`publish_episodes` does.
 
-    Args:
-        dataset: the dataset, without its episodes.
-        write: writes the episodes as a Minari storage into the new folder that it is given.
-        force: replace the dataset that has the id.
-
-    Raises:
-        ImujocoError: what :func:`publish_episodes` raises.
+    A function writes the episodes, as a Minari storage, into the new folder that it is given.
     """
     start = time.monotonic()
     with transactions.staging(dataset.dataset_id) as folder:
@@ -105,7 +99,7 @@ def find_published(dataset_id: str, asked: Mapping[str, Any], *, force: bool) ->
     Args:
         dataset_id: the dataset's id.
         asked: metadata that distinguish the requested dataset from others with the same id.
-        force: replace what exists: the answer is None.
+        force: replace what exists, so the answer is None.
 
     Raises:
         DatasetExistsError: if the dataset with this id differs from the requested one, or is a collection.
@@ -128,7 +122,7 @@ def find_published(dataset_id: str, asked: Mapping[str, Any], *, force: bool) ->
 
 
 def _format_value(key: str, value: Any) -> str:
-    """Return a value of the metadata, None if it states none, as text for a message."""
+    """Return a value of the metadata as text for a message."""
     name = key.removesuffix("_sha256")
     if value is None:
         return f"no {name}"
@@ -164,11 +158,7 @@ def _check_and_commit(staged: Path, dataset: NewDataset, force: bool) -> bool:
 
 
 def _read_outcome(dataset_id: str, *, created: bool, seconds: float = 0.0) -> Published:
-    """Return the outcome of publishing a dataset that now is in the root.
-
-    Raises:
-        DatasetError: if it is not a complete dataset of this package.
-    """
+    """Return the outcome of publishing a dataset that now is in the root."""
     path = minari_root.dataset_folder(dataset_id)
     try:
         with h5py.File(file_format.main_file(path / "data"), "r") as file:

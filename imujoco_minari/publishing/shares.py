@@ -38,14 +38,7 @@ class _Share:
 def record_shares(
     recipe: Recipe, made_by: Sequence[TierPart], data: Path, jobs: int, on_episode: OnEpisode
 ) -> None:
-    """Record a recipe's episodes in shares and join them in order.
-
-    Args:
-        recipe: the recipe.
-        made_by: the parts of the dataset.
-        data: the new ``data`` folder of the dataset.
-        jobs: number of processes.
-        on_episode: called for each recorded episode.
+    """Record a recipe's episodes in shares and join them, in order, in the new folder ``data``.
 
     Raises:
         JobError: if a share is lost with its process.
@@ -75,7 +68,7 @@ def _divide(made_by: Sequence[TierPart], data: Path, jobs: int) -> Iterator[_Sha
 
 
 def _record_share(recipe: Recipe, share: _Share, on_episode: OnEpisode = lambda: None) -> None:
-    """Record a share, after removing what a lost worker left in its folder."""
+    # A worker that was lost may have left something.
     shutil.rmtree(share.folder, ignore_errors=True)
     variant = recipe.variant
     spec = randomised_spec(variant) if isinstance(variant, Ranges) else environment_spec(variant)

@@ -59,17 +59,9 @@ def episode_digest(file: h5py.File, number: int) -> str:
 
 
 def link_episodes(source: LinkedFiles, episodes: Sequence[int], target: h5py.File, path: str) -> None:
-    """Append links to episodes of another file.
+    """Append links to episodes of another file, whose path is relative to the final folder of ``target``.
 
-    Args:
-        source: the dataset to link to.
-        episodes: numbers of the episodes.
-        target: the file to append to.
-        path: path of the source's file relative to the final folder of ``target``.
-
-    Raises:
-        KeyError: if an episode is missing.
-        DatasetError: if an episode takes values from elsewhere than a dataset of the Minari root.
+    The other arguments and the errors are those of :func:`copy_episodes`.
     """
     for place, number in enumerate(episodes, start=len(target)):
         source.check(number)
@@ -78,15 +70,12 @@ def link_episodes(source: LinkedFiles, episodes: Sequence[int], target: h5py.Fil
 
 
 def check_replaced(dataset_id: str, replaced: Path, files: Iterable[Path]) -> None:
-    """Check that a dataset does not replace a file that it links to, directly or through other links.
+    """Raise a DatasetError if a dataset would replace a file that it links to, also through other links.
 
     Args:
         dataset_id: the dataset's id.
         replaced: the HDF5 file that the dataset replaces.
         files: the HDF5 files that the dataset links to.
-
-    Raises:
-        DatasetError: if one of the files is the replaced file, or links to it.
     """
     lost, seen, waiting = os.path.realpath(replaced), set[str](), list(files)
     while waiting:

@@ -62,21 +62,13 @@ class EpisodeFile(ExitStack):
         return {name: attributes[name] for name in names if name in attributes}
 
     def layout(self, episode: int, name: str) -> tuple[tuple[int, ...], np.dtype[Any]]:
-        """Return the shape and the dtype of one array of an episode.
-
-        Raises:
-            DatasetError: if there is no such array, for example if observations are a dictionary.
-        """
+        """Return the shape and the dtype of one array of an episode; raise a DatasetError if it has none."""
         stored = self._open_array(self._open_group(episode), name, episode)
         return stored.shape, stored.dtype
 
     def length(self, episode: int) -> int:
-        """Return the number of steps of an episode.
-
-        Raises:
-            DatasetError: if its rewards are not an array with one row for each step.
-        """
-        shape = self._open_array(self._open_group(episode), "rewards", episode).shape
+        """Return the number of steps of an episode."""
+        shape, _ = self.layout(episode, "rewards")
         if not shape:
             raise DatasetError(f"{self.name}: episode {episode}: rewards are not an array")
         return int(shape[0])

@@ -95,13 +95,7 @@ class EpisodeStorage(HDF5Storage):  # type: ignore[misc]
 
 
 def new_storage(folder: Path, env: gym.Env[Any, Any], attributes: Mapping[str, Any]) -> EpisodeStorage:
-    """Make an empty storage for the episodes of an environment.
-
-    Args:
-        folder: the new folder of the storage. Its parent must exist.
-        env: the environment. Its spaces and its spec are written to the metadata.
-        attributes: attributes of every episode, in addition to Minari's own.
-    """
+    """Make an empty storage in a new folder for the episodes of an environment, all with these attributes."""
     stock = MinariStorage.new(folder, env.observation_space, env.action_space, env.spec)
     storage = EpisodeStorage(folder, stock.observation_space, stock.action_space)
     storage.attributes = lambda seed: attributes
@@ -113,8 +107,7 @@ def write_episode(
 ) -> None:
     """Write an episode group with its arrays, its attributes and its digests.
 
-    This uses h5py's low-level interface, because the high-level one takes four times as long to write
-    something as small as an attribute.
+    h5py's high-level interface takes four times as long to write something as small as an attribute.
     """
     group = h5g.create(file.id, name.encode())
     # Minari prints the keys of an episode's infos, and fails if there is no group.

@@ -40,21 +40,12 @@ class UnreadableError(Exception):
 
 @dataclass(frozen=True)
 class ReadableArray:
-    """An array below an episode that may be read: its HDF5 dataset and its attributes."""
+    """An array below an episode that may be read: its HDF5 dataset, shape, type and attributes."""
 
     dataset: h5py.h5d.DatasetID
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
     attributes: Mapping[str, Any]
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """The array's shape."""
-        return tuple(self.dataset.shape)
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """The array's type."""
-        dtype: np.dtype[Any] = self.dataset.dtype
-        return dtype
 
     def read(self) -> Any:
         """Return the array's values."""
@@ -160,7 +151,7 @@ def _arrays(group: Any, where: str) -> dict[str, ReadableArray]:
         except DatasetError as error:
             raise UnreadableError(place, str(error).removeprefix(f"{place} ")) from None
         _check_size(array, place)
-        found[key] = ReadableArray(array, attributes(array, place))
+        found[key] = ReadableArray(array, array.shape, array.dtype, attributes(array, place))
     return found
 
 

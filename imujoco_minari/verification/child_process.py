@@ -48,13 +48,7 @@ def survives_walk(path: Path) -> Finding | None:
 
 
 def check_apart(data: Path, metadata: Mapping[str, Any], jobs: int = 1) -> Findings:
-    """Check a dataset as :func:`~imujoco_minari.verification.check.check` does, in child processes.
-
-    Args:
-        data: the folder of the dataset's storage.
-        metadata: the content of its ``metadata.json``.
-        jobs: how many children at once, each with a part of the episodes.
-    """
+    """Check a dataset as ``check.check`` does, in up to ``jobs`` child processes at once."""
     stated = metadata.get("total_episodes")
     count = max(1, min(jobs, stated // _EPISODES_A_CHILD)) if isinstance(stated, int) else 1
     parts = _checked_parts(data, count)

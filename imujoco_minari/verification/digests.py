@@ -30,9 +30,7 @@ def files(data: Path, metadata: Mapping[str, Any]) -> Iterator[Finding]:
 def arrays(episode: Episode, read: Mapping[str, Any]) -> Iterator[Finding]:
     """Report arrays of an episode without the digest stored with them, and an episode without its own.
 
-    Args:
-        episode: the episode.
-        read: the values of the arrays that have been read before.
+    ``read`` holds the values of the arrays that have been read before.
     """
     digests = {}
     for key, array in sorted(episode.arrays.items()):

@@ -6,12 +6,15 @@ does not follow, because it is not known here, is an exception: the result of th
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeGuard
 
 import numpy as np
+from gymnasium.spaces import Box
+from minari.serialization import serialize_space
 
 from imujoco_minari.errors import ImujocoError
 from imujoco_minari.policies.experts import expert_record
@@ -105,17 +108,11 @@ def seed(metadata: Mapping[str, Any], number: int) -> int | None:
 def policy_attributes(attributes: Mapping[str, Any]) -> dict[str, Any]:
     """Return the attributes of an episode that state which policy of its tier made it."""
     stated = {key: plain(attributes[key]) for key in _POLICY_ATTRIBUTES if key in attributes}
-    return {
-        key: value if isinstance(value, str | int | float) else shown(value) for key, value in stated.items()
-    }
+    return {key: one if isinstance(one, str | int | float) else shown(one) for key, one in stated.items()}
 
 
 def possible_sources(metadata: Mapping[str, Any], variant: Variant, tier: str) -> list[str]:
-    """Return the datasets that an episode may name as its source.
-
-    Raises:
-        VariantError: when ``tier`` is no tier name.
-    """
+    """Return the datasets that an episode may name as its source; raise a VariantError for a wrong tier."""
     if is_randomised(metadata):
         return [str(metadata.get("dataset_id"))]
     return list(dict.fromkeys([variant.dataset_id(tier), *sources(metadata)]))
@@ -124,29 +121,16 @@ def possible_sources(metadata: Mapping[str, Any], variant: Variant, tier: str) -
 def spaces(robot: str) -> dict[str, Any]:
     """Return the serialised spaces of a robot's environments, as JSON values."""
     page = specification(robot)
+    observations = Box(-np.inf, np.inf, (page.observation_size,), np.float64)
+    actions = Box(-page.action_bound, page.action_bound, (page.action_size,), np.float32)
     return {
-        f"{name}_space": {
-            "type": "Box",
-            "dtype": dtype,
-            "shape": [size],
-            "low": [-bound] * size,
-            "high": [bound] * size,
-        }
-        for name, dtype, size, bound in (
-            ("observation", "float64", page.observation_size, float("inf")),
-            ("action", "float32", page.action_size, float(np.float32(page.action_bound))),
-        )
+        "observation_space": json.loads(serialize_space(observations)),
+        "action_space": json.loads(serialize_space(actions)),
     }
 
 
 def compare(metadata: Mapping[str, Any], content: Content, here: Known | None) -> Iterator[Finding]:
-    """Report metadata that this package would have written otherwise.
-
-    Args:
-        metadata: the metadata.
-        content: what the episodes state.
-        here: what :func:`known` returns.
-    """
+    """Report metadata that this package would have written otherwise; ``here`` is what is :func:`known`."""
     expected = _identity(metadata, content) | _versions(metadata, content)
     statistics = file_format.return_statistics(content.returns)
     expected |= dict.fromkeys(statistics) if is_collection(metadata) else statistics
@@ -166,17 +150,12 @@ def compare(metadata: Mapping[str, Any], content: Content, here: Known | None) -
 
 
 def exceptions(metadata: Mapping[str, Any], content: Content, here: Known | None) -> Iterator[str]:
-    """Say what cannot be checked of a dataset, in words that follow "sound, but".
-
-    The arguments are those of :func:`compare`.
-    """
+    """Say what cannot be checked of a dataset, in words that follow "sound, but"."""
     if content.unreplayed == content.episodes:
         yield "not replayed: it was imported without seeds"
     elif content.unreplayed:
-        yield (
-            f"{content.unreplayed} of {content.episodes} episodes were not replayed: "
-            "they were imported without seeds"
-        )
+        some = f"{content.unreplayed} of {content.episodes} episodes"
+        yield f"{some} were not replayed: they were imported without seeds"
     if repeated := content.episodes - len(set(content.digests)):
         yield f"{repeated} of its episodes are equal to earlier ones"
     if any(isinstance(variant, OriginalVariant) for variant, _ in content.identities):
