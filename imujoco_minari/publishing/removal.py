@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from pathlib import Path
-
-import h5py
 
 from imujoco_minari.errors import DatasetError, ImujocoError
 from imujoco_minari.publishing.outcome import Deleted
@@ -68,18 +65,8 @@ def linked_collections() -> dict[str, set[str]]:
     found: dict[str, set[str]] = {}
     root = minari_root.datasets_root()
     for file in root.glob(f"**/data/{METADATA_FILE}"):
-        data = file.parent
-        combined = sources(read_metadata(data))
-        if combined and transactions.STAGING not in file.parts and _is_linked(data):
-            for source in combined:
-                found.setdefault(source, set()).add(data.parent.relative_to(root).as_posix())
+        metadata = read_metadata(file.parent)
+        if file_format.LINKED in metadata and transactions.STAGING not in file.parts:
+            for source in sources(metadata):
+                found.setdefault(source, set()).add(file.parent.parent.relative_to(root).as_posix())
     return found
-
-
-def _is_linked(data: Path) -> bool:
-    """Return whether the first episode of a collection is a link to another file."""
-    try:
-        with h5py.File(file_format.main_file(data), "r") as file:
-            return isinstance(file.get(file_format.episode_name(0), getlink=True), h5py.ExternalLink)
-    except (OSError, KeyError, RuntimeError):
-        return False

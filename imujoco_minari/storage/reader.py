@@ -7,7 +7,6 @@ module uses h5py's low-level interface, which takes a third of the time and make
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -17,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imujoco_minari.errors import DatasetError
-from imujoco_minari.storage import containment
+from imujoco_minari.storage.containment import LinkedFiles, check_array, check_links
 
 Array = NDArray[Any]
 
 _hdf5_type = cache(partial(h5py.h5t.py_create, logical=True))
 
 
-class EpisodeFile(ExitStack):
+class EpisodeFile(LinkedFiles):
     """A ``main_data.hdf5`` that is open for reading. Links within the Minari root are followed.
 
     Args:
@@ -36,25 +35,23 @@ class EpisodeFile(ExitStack):
     """
 
     def __init__(self, path: Path, name: str) -> None:
-        super().__init__()
         self.name = name
         # Most episodes are used twice, for their length and for their arrays.
         self._groups: dict[int, h5py.h5g.GroupID] = {}
         try:
             # An array has few chunks, but the default cache makes a table of 521 slots for each array.
-            files = containment.LinkedFiles(path.absolute(), rdcc_nslots=31)
+            super().__init__(path.absolute(), rdcc_nslots=31)
         except OSError as error:
             raise DatasetError(f"{name}: {path} cannot be read: {error}") from None
-        self._files = self.enter_context(files)
 
     @property
     def attributes(self) -> Mapping[str, Any]:
         """The attributes of the file."""
-        return dict(self._files.file.attrs)
+        return dict(self.file.attrs)
 
     def numbers(self) -> range:
         """Return the numbers of all episodes of the file."""
-        return range(len(self._files.file))
+        return range(len(self.file))
 
     def episode_attributes(self, episode: int, names: Sequence[str]) -> dict[str, Any]:
         """Return the attributes among ``names`` that an episode has."""
@@ -103,7 +100,7 @@ class EpisodeFile(ExitStack):
             return self._groups[episode]
         try:
             # If HDF5 followed the link, it would open and close the other file for every episode.
-            file, name = self._files.find(episode)
+            file, name = self.find(episode)
         except KeyError:
             raise DatasetError(f"{self.name} has no episode {episode}") from None
         except OSError as error:
@@ -114,7 +111,7 @@ class EpisodeFile(ExitStack):
             group = h5py.h5g.open(file.id, name)
         except (KeyError, ValueError):
             raise DatasetError(f"{self.name}: episode {episode} is not a group of {file.filename}") from None
-        containment.check_links(group, f"{self.name}: episode {episode}: ")
+        check_links(group, f"{self.name}: episode {episode}: ")
         self._groups[episode] = group
         return group
 
@@ -126,5 +123,5 @@ class EpisodeFile(ExitStack):
                 f"{self.name}: episode {episode} has no array {name}; "
                 "valid: datasets whose observations and actions are arrays"
             ) from None
-        containment.check_array(array, f"{self.name}: episode {episode}: {name}")
+        check_array(array, f"{self.name}: episode {episode}: {name}")
         return array
