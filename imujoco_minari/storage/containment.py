@@ -52,7 +52,8 @@ class LinkedFiles(ExitStack):
             KeyError: if there is no such episode.
         """
         file, data, name = self.file, self._data, file_format.episode_name(number).encode()
-        for _ in range(_MAX_LINKS + 1):
+        depth = 0
+        while True:
             links = file.id.links
             try:
                 kind = links.get_info(name).type
@@ -64,16 +65,16 @@ class LinkedFiles(ExitStack):
                 raise DatasetError(
                     f"{file.filename}: {fsdecode(name)} is a soft link, which datasets do not have"
                 )
-            where = f"{file.filename}: {fsdecode(name)}"
-            filename, name = links.get_val(name)
-            name = name.strip(b"/")
-            found = self._follow(data, filename)
-            if found is None or b"/" in name:
-                break
-            file, data = found
-        raise DatasetError(
-            f"{where} refers to {fsdecode(filename)[:80]!r}, which is no dataset of the Minari root"
-        )
+            filename, target = links.get_val(name)
+            target = target.strip(b"/")
+            found = None if b"/" in target or depth == _MAX_LINKS else self._follow(data, filename)
+            if found is None:
+                raise DatasetError(
+                    f"{file.filename}: {fsdecode(name)} refers to {fsdecode(filename)[:80]!r}, "
+                    "which is no dataset of the Minari root"
+                )
+            (file, data), name = found, target
+            depth += 1
 
     def check(self, number: int) -> None:
         """Check that an episode takes all its values from datasets of the Minari root.
