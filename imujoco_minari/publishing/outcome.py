@@ -10,7 +10,7 @@ from imujoco_minari.errors import ImujocoError
 
 
 @dataclass(frozen=True)
-class Outcome:
+class DatasetOutcome:
     """The outcome of work on one dataset.
 
     Attributes:
@@ -32,7 +32,7 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Published(Outcome):
+class Published(DatasetOutcome):
     """The outcome of publishing one dataset.
 
     Attributes:
@@ -55,7 +55,7 @@ class Published(Outcome):
 
 
 @dataclass(frozen=True)
-class Deleted(Outcome):
+class Deleted(DatasetOutcome):
     """The outcome of deleting one dataset: ``path`` is its former folder, ``bytes`` the size of its files."""
 
     bytes: int = 0
