@@ -39,9 +39,8 @@ from imujoco_minari.variants.named_collections import NamedCollection
 
 if TYPE_CHECKING:
     from imujoco_minari.cli.estimates import Planned
-    from imujoco_minari.publishing.new_dataset import Published
+    from imujoco_minari.publishing.outcome import Deleted, Published
     from imujoco_minari.publishing.recipes import Recipe
-    from imujoco_minari.publishing.removal import Deleted
     from imujoco_minari.verification import Findings
 
 
@@ -102,7 +101,7 @@ def _published(
     recipes: list[Recipe], jobs: int, backend: str | None, force: bool, *, quiet: bool
 ) -> Iterator[Published]:
     """Publish each recipe and yield its outcome, behind a bar of datasets; for one dataset, of episodes."""
-    from imujoco_minari.publishing.new_dataset import Published
+    from imujoco_minari.publishing.outcome import Published
     from imujoco_minari.publishing.publisher import publish_all, publish_recipe
 
     if len(recipes) > 1 or backend is not None:
@@ -114,7 +113,7 @@ def _published(
         try:
             outcome = publish_recipe(recipes[0], jobs=jobs, force=force, on_episode=advance)
         except ImujocoError as error:
-            outcome = Published(recipes[0].dataset_id, error=str(error), missing=error.missing)
+            outcome = Published.failed(recipes[0].dataset_id, error)
     yield outcome
 
 

@@ -37,7 +37,7 @@ from imujoco_minari.policies.standing import COLUMNS, share_of_base, standings
 from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS, Variant
 
 if TYPE_CHECKING:
-    from imujoco_minari.publishing.new_dataset import Published
+    from imujoco_minari.publishing.outcome import Published
     from imujoco_minari.training.plan import Plan
     from imujoco_minari.training.run import OnInterval, Progress
     from imujoco_minari.training.sweep import Trained

@@ -23,7 +23,8 @@ from imujoco_minari.importing.physics import Physics
 from imujoco_minari.importing.safe_unpack import Allowance, Array, read_npz
 from imujoco_minari.importing.transitions import Fidelity, Transitions, cut
 from imujoco_minari.policies.references import reference_scores
-from imujoco_minari.publishing.new_dataset import NewDataset, Published, publish_episodes
+from imujoco_minari.publishing.new_dataset import NewDataset, publish_episodes
+from imujoco_minari.publishing.outcome import Published
 from imujoco_minari.storage import containment, file_format, minari_root
 from imujoco_minari.storage.metadata import provenance, read_metadata
 from imujoco_minari.variants import Variant

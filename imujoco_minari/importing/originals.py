@@ -25,11 +25,11 @@ from imujoco_minari.policies.evaluation import evaluate
 from imujoco_minari.publishing.collector import collect
 from imujoco_minari.publishing.new_dataset import (
     NewDataset,
-    Published,
     find_published,
     publish_episodes,
     publish_written,
 )
+from imujoco_minari.publishing.outcome import Published
 from imujoco_minari.storage import file_format
 from imujoco_minari.storage.metadata import provenance
 from imujoco_minari.variants import EXPERT
@@ -73,7 +73,7 @@ def import_archive(archive: Archive, variants: Iterable[OriginalVariant], how: I
         try:
             yield (recollect if how.recollect else import_variant)(archive, variant, how)
         except ImujocoError as error:
-            yield Published(dataset_id, error=str(error), missing=error.missing)
+            yield Published.failed(dataset_id, error)
 
 
 def import_variant(archive: Archive, variant: OriginalVariant, how: Import) -> Published:

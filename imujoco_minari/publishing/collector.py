@@ -40,10 +40,10 @@ class StorageCollector(DataCollector):  # type: ignore[misc]
 
     Args:
         env: the environment to step.
-        storage: the storage of the episodes. Several collectors may share an :class:`OrderedStorage`.
+        storage: the storage of the episodes. Several collectors may share one.
     """
 
-    def __init__(self, env: gym.Env[Any, Any], storage: EpisodeStorage | OrderedStorage) -> None:
+    def __init__(self, env: gym.Env[Any, Any], storage: EpisodeStorage) -> None:
         self._target_storage = storage
         self._buffer: EpisodeBuffer | None
         super().__init__(env)
@@ -150,8 +150,9 @@ def collect(
     # A universal policy is told another variant in each episode, so one episode runs at a time.
     told = ToldPolicy(policy) if isinstance(policy, UniversalPolicy) else None
     envs = [gym.make(spec) for _ in range(1 if told else min(LANES, len(seeds)))]
-    ordered = OrderedStorage(new_storage(target, envs[0], {}), attributes)
-    collectors = [StorageCollector(env, ordered) for env in envs]
+    storage = new_storage(target, envs[0], {})
+    storage.attributes = attributes
+    collectors = [StorageCollector(env, storage) for env in envs]
     act = checked(batch_act(told or policy), envs[0].action_space.shape or ())
 
     def begin(lane: int, number: int) -> None:
@@ -165,33 +166,4 @@ def collect(
     finally:
         for collector in collectors:
             collector.close()
-        ordered.flush()
-
-
-class OrderedStorage:
-    """Accepts episodes in the order in which they end and writes them in the order of their numbers.
-
-    Args:
-        storage: the storage to write to.
-        attributes: returns the attributes of the episode with a seed, in addition to Minari's own.
-    """
-
-    def __init__(self, storage: EpisodeStorage, attributes: Attributes = lambda seed: {}) -> None:
-        self._storage, self._attributes = storage, attributes
-        self.data_path = storage.data_path
-        self.observation_space, self.action_space = storage.observation_space, storage.action_space
-        self._waiting: dict[int, EpisodeBuffer] = {}
-        self._next = 0
-
-    def update_episodes(self, episodes: Iterable[EpisodeBuffer]) -> None:
-        """Accept episodes that have ended, and write those whose predecessors are written."""
-        self._waiting |= {buffer.id: buffer for buffer in episodes}
-        while self._next in self._waiting:
-            buffer = self._waiting.pop(self._next)
-            self._storage.attributes = self._attributes(buffer.seed)
-            self._storage.update_episodes([buffer])
-            self._next += 1
-
-    def flush(self) -> None:
-        """Write pending episodes to the disk."""
-        self._storage.flush()
+        storage.flush()

@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from os.path import relpath
 from pathlib import Path
 from typing import Any
@@ -19,9 +18,9 @@ from minari import MinariDataset
 from minari.dataset.minari_storage import MinariStorage
 
 from imujoco_minari.envs.registration import dataset_name, dataset_spec, stored_models
-from imujoco_minari.errors import ArgumentError, DatasetError, DatasetExistsError, ImujocoError
+from imujoco_minari.errors import ArgumentError, DatasetError, DatasetExistsError
 from imujoco_minari.publishing.sizes import check_space
-from imujoco_minari.publishing.sources import Source, check_sources, open_source
+from imujoco_minari.publishing.sources import Source, check_sources, open_source, reading_errors
 from imujoco_minari.publishing.staleness import check_current
 from imujoco_minari.storage import copying, file_format, minari_root, transactions
 from imujoco_minari.storage.metadata import complete_metadata, provenance
@@ -84,7 +83,7 @@ def combine_datasets(
         staged = staging_folder / "dataset"
         staged.mkdir()
         data = staged / "data"
-        with _copy_errors():
+        with reading_errors("a dataset cannot be copied"):
             MinariStorage.new(
                 data,
                 observation_space=sources[0].observation_space,
@@ -110,19 +109,6 @@ def _load(folder: Path) -> MinariDataset:
         return MinariDataset(folder / "data")
 
 
-@contextmanager
-def _copy_errors() -> Iterator[None]:
-    """Turn h5py's errors on a damaged source into a DatasetError. A full disk stays an OSError."""
-    try:
-        yield
-    except (KeyError, ValueError, TypeError, RuntimeError, OSError) as error:
-        if isinstance(error, ImujocoError) or (isinstance(error, OSError) and error.errno is not None):
-            raise
-        raise DatasetError(
-            f"a dataset cannot be copied: {str(error)[:200]}; `imujoco verify` finds what is wrong with it"
-        ) from None
-
-
 def _check_files(sources: Sequence[Source]) -> Iterator[Source]:
     """Check the files of the sources in threads, and yield each source when its file is safe to open."""
     threads = ThreadPoolExecutor(max(1, (os.cpu_count() or 1) - 1))
@@ -146,12 +132,7 @@ def _check_file(source: Source) -> None:
 def _write_episodes(
     sources: Sequence[Source], data: Path, linked_from: Path | None
 ) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """Copy or link the episodes of all sources into the new file.
-
-    Args:
-        sources: the sources.
-        data: the new ``data`` folder.
-        linked_from: the final place of that folder, from which links lead to the sources; None to copy.
+    """Copy the episodes of all sources into the new file, or link to them from its final folder.
 
     Returns:
         The identifying attributes of each episode, and the entries of the metadata that describe them.
@@ -162,12 +143,13 @@ def _write_episodes(
     with writing(file_format.main_file(data), new=True) as target:
         # Linking reads no array, so a damaged file does no harm.
         for source in sources if link else _check_files(sources):
-            with source.opened() as file:
+            with source.opened() as links:
+                file = links.file
                 attributes += source.attributes(file)
                 if linked_from is None:
-                    copying.copy_episodes(file, source.episodes, target, source.dataset_id)
+                    copying.copy_episodes(links, source.episodes, target, source.dataset_id)
                 else:
-                    copying.link_episodes(file, source.episodes, target, relpath(source.file, linked_from))
+                    copying.link_episodes(links, source.episodes, target, relpath(source.file, linked_from))
                 content += source.content(file, link=link)
                 steps += source.steps(file)
         shared, digest = _shared_attributes(attributes), file_format.collection_digest(content, link=link)
@@ -179,9 +161,9 @@ def _shared_attributes(attributes: list[dict[str, Any]]) -> dict[str, Any]:
     """Return the identifying attributes that all episodes share."""
     first = attributes[0]
     return {
-        key: plain(first[key])
-        for key in file_format.IDENTITY
-        if key in first and all(attrs is first or attrs.get(key) == first[key] for attrs in attributes)
+        key: plain(value)
+        for key, value in first.items()
+        if all(attrs is first or attrs.get(key) == value for attrs in attributes)
     }
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from imujoco_minari.errors import ArgumentError
 from imujoco_minari.policies import load_policy
 from imujoco_minari.policies.evaluation import evaluate
-from imujoco_minari.publishing.new_dataset import Published
+from imujoco_minari.publishing.outcome import Published
 from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.storage import transactions
 from imujoco_minari.storage.metadata import read_metadata
@@ -43,9 +43,7 @@ def publish_transitions(
 
     Raises:
         ArgumentError: if ``transitions`` is less than 1.
-        VariantError: if there is no such variant.
-        DatasetExistsError: if the root has another dataset with this id and ``force`` is false.
-        PolicyNotFoundError: if no single policy makes the tier.
+        ImujocoError: what :func:`~imujoco_minari.publish` raises.
     """
     if transitions < 1:
         raise ArgumentError(f"a dataset has at least one transition, not {transitions}")

@@ -19,6 +19,7 @@ from minari.data_collector import EpisodeBuffer
 
 from imujoco_minari.envs.mjcf import mjcf_sha256
 from imujoco_minari.errors import DatasetError, DatasetExistsError, clipped
+from imujoco_minari.publishing.outcome import Published
 from imujoco_minari.storage import file_format, minari_root, transactions
 from imujoco_minari.storage.metadata import complete_metadata, read_metadata
 from imujoco_minari.storage.quiet_file import writing
@@ -27,37 +28,6 @@ from imujoco_minari.verification import inspect
 
 # Metadata keys that identify the origin of given episodes.
 _ORIGIN_KEYS = ("source", "source_sha256", "seed", "policy_sha256")
-
-
-@dataclass(frozen=True)
-class Published:
-    """The outcome of publishing one dataset.
-
-    Attributes:
-        dataset_id: the dataset's id.
-        path: folder of the dataset; None if the publication failed.
-        created: whether this call made it; False if it existed already.
-        episodes: number of episodes.
-        steps: number of steps.
-        return_mean: mean undiscounted return of the episodes.
-        return_std: standard deviation of the returns.
-        content_sha256: digest of the arrays.
-        seconds: wall time.
-        error: why the publication failed; empty on success.
-        missing: whether it failed because something that was asked for does not exist.
-    """
-
-    dataset_id: str
-    path: Path | None = None
-    created: bool = False
-    episodes: int = 0
-    steps: int = 0
-    return_mean: float = float("nan")
-    return_std: float = float("nan")
-    content_sha256: str = ""
-    seconds: float = 0.0
-    error: str = ""
-    missing: bool = False
 
 
 @dataclass(frozen=True)
@@ -80,12 +50,12 @@ class NewDataset:
 def publish_episodes(
     dataset: NewDataset, spec: EnvSpec, episodes: Iterable[EpisodeBuffer], *, force: bool = False
 ) -> Published:
-    """Publish given episodes as a dataset.
+    """Publish given episodes, in order, as a dataset.
 
     Args:
         dataset: the dataset, without its episodes.
         spec: specification of the environment that the dataset recovers.
-        episodes: the episodes, in order.
+        episodes: the episodes.
         force: replace the dataset that has the id.
 
     Raises:
@@ -110,15 +80,9 @@ def publish_episodes(
 
 
 def publish_written(dataset: NewDataset, write: Callable[[Path], None], *, force: bool) -> Published:
-    """Publish a dataset whose episodes a function writes.
+    """Publish a dataset as :func:`publish_episodes` does.
 
-    Args:
-        dataset: the dataset, without its episodes.
-        write: writes the episodes as a Minari storage into the new folder that it is given.
-        force: replace the dataset that has the id.
-
-    Raises:
-        ImujocoError: what :func:`publish_episodes` raises.
+    A function writes the episodes, as a Minari storage, into the new folder that it is given.
     """
     start = time.monotonic()
     with transactions.staging(dataset.dataset_id) as folder:
@@ -135,7 +99,7 @@ def find_published(dataset_id: str, asked: Mapping[str, Any], *, force: bool) ->
     Args:
         dataset_id: the dataset's id.
         asked: metadata that distinguish the requested dataset from others with the same id.
-        force: replace what exists: the answer is None.
+        force: replace what exists, so the answer is None.
 
     Raises:
         DatasetExistsError: if the dataset with this id differs from the requested one, or is a collection.
@@ -158,7 +122,7 @@ def find_published(dataset_id: str, asked: Mapping[str, Any], *, force: bool) ->
 
 
 def _format_value(key: str, value: Any) -> str:
-    """Return a value of the metadata, None if it states none, as text for a message."""
+    """Return a value of the metadata as text for a message."""
     name = key.removesuffix("_sha256")
     if value is None:
         return f"no {name}"
@@ -194,11 +158,7 @@ def _check_and_commit(staged: Path, dataset: NewDataset, force: bool) -> bool:
 
 
 def _read_outcome(dataset_id: str, *, created: bool, seconds: float = 0.0) -> Published:
-    """Return the outcome of publishing a dataset that now is in the root.
-
-    Raises:
-        DatasetError: if it is not a complete dataset of this package.
-    """
+    """Return the outcome of publishing a dataset that now is in the root."""
     path = minari_root.dataset_folder(dataset_id)
     try:
         with h5py.File(file_format.main_file(path / "data"), "r") as file:
@@ -215,7 +175,7 @@ def _read_outcome(dataset_id: str, *, created: bool, seconds: float = 0.0) -> Pu
     return Published(
         dataset_id,
         path,
-        created,
+        created=created,
         episodes=len(returns),
         steps=steps,
         return_mean=statistics["return_mean"],

@@ -12,7 +12,7 @@ from rich.progress import Progress
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError, VariantError
 from imujoco_minari.policies.tiers import RECORDED
 from imujoco_minari.publishing.combiner import combine_datasets
-from imujoco_minari.publishing.new_dataset import Published
+from imujoco_minari.publishing.outcome import Published
 from imujoco_minari.publishing.publisher import publish_all, publish_recipe
 from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.storage import minari_root
@@ -47,21 +47,18 @@ def load_dataset(dataset_id: str, *, jobs: int = 1, quiet: bool = False) -> Mina
     folder = minari_root.dataset_folder(dataset_id)
     if not minari_root.exists(dataset_id):
         collection = NamedCollection.parse(dataset_id)
-        if collection is None:
-            _publish(_recipe(dataset_id), jobs, quiet)
-        else:
+        if collection is not None:
             _publish_missing(collection, jobs, quiet)
             return combine_datasets(collection.sources, dataset_id)
+        recipe = _recipe(dataset_id)
+        with _progress(dataset_id, "episodes", recipe.episodes, quiet) as advance:
+            publish_recipe(recipe, jobs=jobs, on_episode=advance)
     with minari_root.storage_errors():
         return MinariDataset(folder / "data")
 
 
 def _recipe(dataset_id: str) -> Recipe:
-    """Return the recipe of the dataset of a variant.
-
-    Raises:
-        DatasetNotFoundError: if the id is not one of a dataset that can be published.
-    """
+    """Return the recipe of a dataset, or raise a DatasetNotFoundError if it cannot be published."""
     try:
         variant, tier = parse_dataset_id(dataset_id)
     except VariantError:
@@ -71,33 +68,19 @@ def _recipe(dataset_id: str) -> Recipe:
     return Recipe(variant, tier)
 
 
-def _publish(recipe: Recipe, jobs: int, quiet: bool) -> None:
-    with _progress(recipe.dataset_id, "episodes", recipe.episodes, quiet) as advance:
-        publish_recipe(recipe, jobs=jobs, on_episode=advance)
-
-
 def _publish_missing(collection: NamedCollection, jobs: int, quiet: bool) -> None:
-    """Publish the datasets of a collection that are not in the root.
-
-    Raises:
-        DatasetError: if one of them fails.
-    """
-    recipes = [
-        Recipe(variant, collection.tier)
-        for variant in collection.variants
-        if not minari_root.exists(variant.dataset_id(collection.tier))
-    ]
+    """Publish the datasets of a collection that are not in the root; raise the first failure at the end."""
+    recipes = [_recipe(source) for source in collection.sources if not minari_root.exists(source)]
     if not recipes:
         return
-    failed: Published | None = None
+    failed: list[Published] = []
     with _progress(collection.dataset_id, "datasets", len(recipes), quiet) as advance:
         for outcome in publish_all(recipes, jobs=jobs):
-            if outcome.error and failed is None:
-                failed = outcome
+            failed += [outcome] if outcome.error else []
             advance()
-    if failed is not None:
-        kind = DatasetNotFoundError if failed.missing else DatasetError
-        raise kind(f"{collection.dataset_id} was not made; {failed.dataset_id}: {failed.error}")
+    if failed:
+        kind = DatasetNotFoundError if failed[0].missing else DatasetError
+        raise kind(f"{collection.dataset_id} was not made; {failed[0].dataset_id}: {failed[0].error}")
 
 
 @contextmanager

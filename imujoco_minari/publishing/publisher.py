@@ -23,7 +23,8 @@ from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies import Policy
 from imujoco_minari.policies.references import reference_scores, weakness_of
 from imujoco_minari.policies.tiers import MEDIUM_REPLAY
-from imujoco_minari.publishing.new_dataset import NewDataset, Published, find_published, publish_written
+from imujoco_minari.publishing.new_dataset import NewDataset, find_published, publish_written
+from imujoco_minari.publishing.outcome import Published
 from imujoco_minari.publishing.recipes import Recipe, algorithms, description
 from imujoco_minari.publishing.shares import OnEpisode, record_shares
 from imujoco_minari.publishing.sizes import check_space, expected_bytes
@@ -180,7 +181,7 @@ def publish_all(
     work = partial(_publish_or_report, force=force)
     for number, outcome in run_jobs(work, recipes, jobs=jobs, backend=backend):
         if isinstance(outcome, JobError):
-            outcome = Published(recipes[number].dataset_id, error=str(outcome))
+            outcome = Published.failed(recipes[number].dataset_id, outcome)
         yield outcome
 
 
@@ -188,4 +189,4 @@ def _publish_or_report(recipe: Recipe, force: bool) -> Published:
     try:
         return publish_recipe(recipe, force=force)
     except ImujocoError as error:
-        return Published(recipe.dataset_id, error=str(error), missing=error.missing)
+        return Published.failed(recipe.dataset_id, error)

@@ -93,19 +93,15 @@ class Recipe:
 
     def parts(self) -> list[TierPart]:
         """Return the parts of the dataset, each of one policy, in the order of the episodes."""
-        if self.policy is None or isinstance(self.policy, Path):
-            if isinstance(self.variant, Ranges):
-                robot, path = self.variant.robot, self.policy
-                return range_parts(robot, self.tier, self.episodes, path=path, stochastic=self.stochastic)
-            return parts(self.nominal, self.tier, self.episodes, path=self.policy, stochastic=self.stochastic)
-        return [TierPart(self.policy, self.episodes)]
+        if self.policy is not None and not isinstance(self.policy, Path):
+            return [TierPart(self.policy, self.episodes)]
+        how: Any = {"path": self.policy, "stochastic": self.stochastic}
+        if isinstance(self.variant, Ranges):
+            return range_parts(self.variant.robot, self.tier, self.episodes, **how)
+        return parts(self.variant, self.tier, self.episodes, **how)
 
     def stated(self, made_by: Sequence[TierPart]) -> dict[str, Any]:
-        """Return the metadata that distinguish a dataset of this recipe from others with the same id.
-
-        Args:
-            made_by: the parts of the dataset.
-        """
+        """Return the metadata that distinguish a dataset of this recipe from others with the same id."""
         policies = [part.policy for part in made_by]
         return {
             **{key: value for key, value in self.attributes.items() if key in file_format.RANGES},
@@ -116,30 +112,19 @@ class Recipe:
         }
 
     def told(self, made_by: Sequence[TierPart]) -> dict[str, Any]:
-        """Return the metadata of folded experts: the universal policy, and what it was told in percent.
+        """Return the metadata of a folded expert: the universal policy, and what it was told in percent.
 
         They are empty if another policy makes the episodes.
-
-        Args:
-            made_by: the parts of the dataset.
         """
-        records = [getattr(part.policy, "record", {}) for part in made_by]
-        return next(
-            (
-                {"universal_sha256": record["universal_sha256"], "policy_told": record["told"]}
-                for record in records
-                if record.get("start") == FOLDED
-            ),
-            {},
-        )
+        for part in made_by:
+            record = getattr(part.policy, "record", {})
+            if record.get("start") == FOLDED:
+                return {"universal_sha256": record["universal_sha256"], "policy_told": record["told"]}
+        return {}
 
 
 def _check_policy(policy: Any, robot: str) -> None:
-    """Check that a policy states what the metadata of its dataset state, and fits the robot.
-
-    Raises:
-        PolicyError: when it does not.
-    """
+    """Raise a PolicyError unless a policy states what its dataset's metadata state, and fits the robot."""
     if isinstance(policy, type) or not all(hasattr(policy, name) for name in _STATED):
         kind = policy.__name__ if isinstance(policy, type) else type(policy).__name__
         raise PolicyError(

@@ -3,34 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-
-import h5py
 
 from imujoco_minari.errors import DatasetError, ImujocoError
+from imujoco_minari.publishing.outcome import Deleted
 from imujoco_minari.storage import file_format, minari_root, transactions
 from imujoco_minari.storage.metadata import METADATA_FILE, read_metadata, sources
 from imujoco_minari.storage.missing import not_in_root
-
-
-@dataclass(frozen=True)
-class Deleted:
-    """The outcome of deleting one dataset.
-
-    Attributes:
-        dataset_id: the dataset's id.
-        path: its former folder; None if the deletion failed.
-        bytes: size of its files.
-        error: why the deletion failed; empty on success.
-        missing: whether it failed because the root has no such dataset.
-    """
-
-    dataset_id: str
-    path: Path | None = None
-    bytes: int = 0
-    error: str = ""
-    missing: bool = False
 
 
 def delete(dataset_ids: Sequence[str], *, force: bool = False) -> Iterator[Deleted]:
@@ -53,7 +31,7 @@ def delete(dataset_ids: Sequence[str], *, force: bool = False) -> Iterator[Delet
             with minari_root.storage_errors(minari_root.dataset_folder(dataset_id)):
                 outcome = _delete(dataset_id, set() if force else links.get(dataset_id, set()))
         except ImujocoError as error:
-            outcome = Deleted(dataset_id, error=str(error), missing=error.missing)
+            outcome = Deleted.failed(dataset_id, error)
         else:
             for collections in links.values():
                 collections.discard(dataset_id)
@@ -79,7 +57,7 @@ def _delete(dataset_id: str, collections: set[str]) -> Deleted:
         )
     size = sum(path.lstat().st_size for path in data.rglob("*") if path.is_file())
     transactions.remove(dataset_id)
-    return Deleted(dataset_id, folder, size)
+    return Deleted(dataset_id, folder, bytes=size)
 
 
 def linked_collections() -> dict[str, set[str]]:
@@ -87,18 +65,8 @@ def linked_collections() -> dict[str, set[str]]:
     found: dict[str, set[str]] = {}
     root = minari_root.datasets_root()
     for file in root.glob(f"**/data/{METADATA_FILE}"):
-        data = file.parent
-        combined = sources(read_metadata(data))
-        if combined and transactions.STAGING not in file.parts and _is_linked(data):
-            for source in combined:
-                found.setdefault(source, set()).add(data.parent.relative_to(root).as_posix())
+        metadata = read_metadata(file.parent)
+        if file_format.LINKED in metadata and transactions.STAGING not in file.parts:
+            for source in sources(metadata):
+                found.setdefault(source, set()).add(file.parent.parent.relative_to(root).as_posix())
     return found
-
-
-def _is_linked(data: Path) -> bool:
-    """Return whether the first episode of a collection is a link to another file."""
-    try:
-        with h5py.File(file_format.main_file(data), "r") as file:
-            return isinstance(file.get(file_format.episode_name(0), getlink=True), h5py.ExternalLink)
-    except (OSError, KeyError, RuntimeError):
-        return False

@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from minari.dataset.minari_storage import MinariStorage
 
@@ -20,6 +19,7 @@ from imujoco_minari.policies.tiers import TierPart
 from imujoco_minari.publishing.collector import collect
 from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.storage import copying, file_format
+from imujoco_minari.storage.containment import LinkedFiles
 from imujoco_minari.storage.quiet_file import writing
 from imujoco_minari.variants import Ranges
 
@@ -38,14 +38,7 @@ class _Share:
 def record_shares(
     recipe: Recipe, made_by: Sequence[TierPart], data: Path, jobs: int, on_episode: OnEpisode
 ) -> None:
-    """Record a recipe's episodes in shares and join them in order.
-
-    Args:
-        recipe: the recipe.
-        made_by: the parts of the dataset.
-        data: the new ``data`` folder of the dataset.
-        jobs: number of processes.
-        on_episode: called for each recorded episode.
+    """Record a recipe's episodes in shares and join them, in order, in the new folder ``data``.
 
     Raises:
         JobError: if a share is lost with its process.
@@ -75,7 +68,7 @@ def _divide(made_by: Sequence[TierPart], data: Path, jobs: int) -> Iterator[_Sha
 
 
 def _record_share(recipe: Recipe, share: _Share, on_episode: OnEpisode = lambda: None) -> None:
-    """Record a share, after removing what a lost worker left in its folder."""
+    # A worker that was lost may have left something.
     shutil.rmtree(share.folder, ignore_errors=True)
     variant = recipe.variant
     spec = randomised_spec(variant) if isinstance(variant, Ranges) else environment_spec(variant)
@@ -96,8 +89,8 @@ def _join_shares(folders: Sequence[Path], data: Path) -> None:
     steps = storage.total_steps
     with writing(file_format.main_file(first)) as target:
         for other in others:
-            with h5py.File(file_format.main_file(other), "r") as source:
-                copying.copy_episodes(source, range(len(source)), target, "")
+            with LinkedFiles(file_format.main_file(other)) as source:
+                copying.copy_episodes(source, range(len(source.file)), target, "")
             steps += MinariStorage.read(other).total_steps
             shutil.rmtree(other)
         episodes = len(target)

@@ -36,15 +36,7 @@ def steps_per_episode(recipe: Recipe) -> float:
 
 
 def check_space(name: str, needed: int) -> None:
-    """Check that the disk of the Minari root has room for a dataset, before work begins.
-
-    Args:
-        name: of the dataset, for the message.
-        needed: bytes.
-
-    Raises:
-        StorageError: if fewer than ``needed`` bytes are free.
-    """
+    """Raise a StorageError that begins with ``name`` if the Minari root's disk lacks ``needed`` bytes."""
     root = minari_root.datasets_root()
     folder = next(each for each in (root, *root.parents) if each.exists())
     free = shutil.disk_usage(folder).free

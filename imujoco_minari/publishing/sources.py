@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,9 +14,10 @@ from gymnasium.envs.registration import EnvSpec
 from minari import MinariDataset
 from minari.serialization import deserialize_space
 
-from imujoco_minari.errors import DatasetError, check_one_robot
+from imujoco_minari.errors import DatasetError, ImujocoError, check_one_robot
 from imujoco_minari.loading.selection import view_of
 from imujoco_minari.storage import copying, file_format, minari_root
+from imujoco_minari.storage.containment import LinkedFiles
 from imujoco_minari.storage.metadata import read_metadata
 from imujoco_minari.verification.findings import same
 
@@ -29,11 +30,8 @@ class Source:
         dataset_id: id of the dataset.
         data: ``data`` folder of the dataset.
         folder: device and inode of that folder. They change if the dataset is replaced.
-        metadata: content of ``metadata.json``, read once.
+        metadata: content of ``metadata.json``, read once. The spaces and ``env_spec`` are from it.
         episodes: numbers of the episodes to use.
-        observation_space: observation space, from the metadata.
-        action_space: action space, from the metadata.
-        env_spec: specification of the environment, from the metadata; None if it states none.
     """
 
     dataset_id: str
@@ -65,14 +63,15 @@ class Source:
         return list(self.episodes) == list(range(int(self.metadata.get("total_episodes", -1))))
 
     @contextmanager
-    def opened(self) -> Iterator[h5py.File]:
+    def opened(self) -> Iterator[LinkedFiles]:
         """Open the HDF5 file and check that it belongs to the metadata.
 
         Raises:
             DatasetError: if the dataset was replaced or deleted after its metadata were read.
         """
         try:
-            with h5py.File(self.file, "r") as file:
+            with LinkedFiles(self.file) as links:
+                file = links.file
                 same_folder = self.folder == minari_root.folder_identity(self.data)
                 digest = self.metadata.get("content_sha256")
                 if not same_folder or not same(file.attrs.get("content_sha256"), digest):
@@ -84,7 +83,7 @@ class Source:
                         f"{self.dataset_id} states {self.metadata['total_episodes']} episodes, but its file "
                         f"holds {len(file)}: see `imujoco verify {self.dataset_id}`"
                     )
-                yield file
+                yield links
         except FileNotFoundError:
             raise self.deleted() from None
 
@@ -96,27 +95,26 @@ class Source:
         """Return the number of steps of its episodes; from its metadata if all of them are used."""
         if self.whole:
             return int(self.metadata["total_steps"])
-        groups = (file[file_format.episode_name(number)] for number in self.episodes)
-        return sum(int(group.attrs["total_steps"]) for group in groups)
+        return sum(int(attrs["total_steps"]) for attrs in self._attributes(file))
 
     def content(self, file: h5py.File, *, link: bool) -> list[Any]:
         """Return what the digest of a collection covers of this source: see ``collection_digest``."""
-        if link:
-            return [[len(self.episodes), self._digest(file)]]
-        return [copying.episode_digest(file, number) for number in self.episodes]
-
-    def _digest(self, file: h5py.File) -> str:
-        """Return the digest of its episodes; from its metadata if all of them are used."""
+        if not link:
+            return [copying.episode_digest(file, number) for number in self.episodes]
         if self.whole and "content_sha256" in self.metadata:
-            return str(self.metadata["content_sha256"])
-        groups = (file[file_format.episode_name(number)] for number in self.episodes)
-        return file_format.dataset_sha256(str(group.attrs.get(file_format.DIGEST, "")) for group in groups)
+            return [[len(self.episodes), str(self.metadata["content_sha256"])]]
+        stored = (attrs.get(file_format.DIGEST, "") for attrs in self._attributes(file))
+        return [[len(self.episodes), file_format.dataset_sha256(map(str, stored))]]
 
     def attributes(self, file: h5py.File) -> list[dict[str, Any]]:
         """Return the identifying attributes of each episode."""
         if all(key in file.attrs for key in file_format.IDENTITY):
             return [{key: file.attrs[key] for key in file_format.IDENTITY}] * len(self.episodes)
-        return copying.episode_attributes(file, self.episodes, file_format.IDENTITY)
+        every = self._attributes(file)
+        return [{key: attrs[key] for key in file_format.IDENTITY if key in attrs} for attrs in every]
+
+    def _attributes(self, file: h5py.File) -> Iterator[h5py.AttributeManager]:
+        return (file[file_format.episode_name(number)].attrs for number in self.episodes)
 
 
 def open_source(dataset: MinariDataset | str) -> Source:
@@ -131,7 +129,13 @@ def open_source(dataset: MinariDataset | str) -> Source:
     view = view_of(dataset)
     data = view.file.parent
     folder, metadata = minari_root.folder_identity(data), read_metadata(data)
-    spaces = [_read_space(view.dataset_id, metadata, key) for key in ("observation_space", "action_space")]
+    for key in ("observation_space", "action_space"):
+        if not isinstance(metadata.get(key), str):
+            # Minari would make the environment to get its space, and that may run any code.
+            raise DatasetError(
+                f"{view.dataset_id} does not state its {key}, so Minari would run its environment: "
+                f"do not load it; see `imujoco verify {view.dataset_id}`"
+            )
     total = metadata.get("total_episodes")
     if not isinstance(total, int):
         raise DatasetError(
@@ -146,9 +150,9 @@ def open_source(dataset: MinariDataset | str) -> Source:
         folder=folder,
         metadata=metadata,
         episodes=range(total) if view.episodes is None else view.episodes,
-        observation_space=spaces[0],
-        action_space=spaces[1],
-        env_spec=_read_env_spec(view.dataset_id, metadata),
+        observation_space=_parsed(view.dataset_id, metadata, "observation_space", deserialize_space),
+        action_space=_parsed(view.dataset_id, metadata, "action_space", deserialize_space),
+        env_spec=_parsed(view.dataset_id, metadata, "env_spec", EnvSpec.from_json),
     )
 
 
@@ -171,30 +175,24 @@ def check_sources(sources: Sequence[Source]) -> None:
                 )
 
 
-def _read_space(dataset_id: str, metadata: dict[str, Any], key: str) -> gym.Space[Any]:
-    text = metadata.get(key)
-    if not isinstance(text, str):
-        # Minari would make the environment to get its space, and that may run any code.
-        raise DatasetError(
-            f"{dataset_id} does not state its {key}, so Minari would run its environment: "
-            f"do not load it; see `imujoco verify {dataset_id}`"
-        )
+def _parsed(dataset_id: str, metadata: dict[str, Any], key: str, parse: Callable[[Any], Any]) -> Any:
+    """Return a parsed value of the metadata, or None if they state none."""
     try:
-        space: gym.Space[Any] = deserialize_space(text)
-    except Exception as error:  # Minari raises many kinds of errors on malformed text
+        return None if metadata.get(key) is None else parse(metadata[key])
+    except Exception as error:  # Minari and Gymnasium raise many kinds of errors on malformed text
         raise DatasetError(
             f"{dataset_id} cannot be loaded: its {key} is malformed: {str(error)[:200]}"
         ) from None
-    return space
 
 
-def _read_env_spec(dataset_id: str, metadata: dict[str, Any]) -> EnvSpec | None:
-    text = metadata.get("env_spec")
-    if text is None:
-        return None
+@contextmanager
+def reading_errors(message: str) -> Iterator[None]:
+    """Turn h5py's errors on a damaged file into a DatasetError. A full disk stays an OSError."""
     try:
-        return EnvSpec.from_json(text)
-    except Exception as error:  # as above
+        yield
+    except (KeyError, ValueError, TypeError, RuntimeError, OSError) as error:
+        if isinstance(error, ImujocoError) or (isinstance(error, OSError) and error.errno is not None):
+            raise
         raise DatasetError(
-            f"{dataset_id} cannot be loaded: its env_spec is malformed: {str(error)[:200]}"
+            f"{message}: {str(error)[:200]}; `imujoco verify` finds what is wrong with it"
         ) from None

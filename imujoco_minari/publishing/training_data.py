@@ -21,7 +21,8 @@ from imujoco_minari.policies.references import measured_record, reference_scores
 from imujoco_minari.policies.rungs import MEDIUM_SHARE
 from imujoco_minari.policies.tiers import MEDIUM_REPLAY, REPLAY
 from imujoco_minari.publishing.collector import StorageCollector
-from imujoco_minari.publishing.new_dataset import NewDataset, Published, find_published, publish_episodes
+from imujoco_minari.publishing.new_dataset import NewDataset, find_published, publish_episodes
+from imujoco_minari.publishing.outcome import Published
 from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.publishing.shares import OnEpisode
 from imujoco_minari.storage import file_format

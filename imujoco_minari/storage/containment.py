@@ -6,7 +6,6 @@ package checks an episode here first.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import ExitStack
 from os import fsdecode
 from os.path import normpath
@@ -20,17 +19,95 @@ from imujoco_minari.errors import DatasetError
 from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.storage.transactions import STAGING
 
-MAX_LINKS, _MAX_DEPTH = 4, 4
+_MAX_LINKS, _MAX_DEPTH = 4, 4
 
 
-def linked_file(data: Path, filename: str) -> Path | None:
-    """Return the file that a link in a dataset leads to, or None if it is no dataset of the same root.
+class LinkedFiles(ExitStack):
+    """The file of a dataset, and the files of other datasets to which its episodes are links.
 
-    For a staged dataset, the staging folder stands for the root, so its links are checked as they will be.
+    A file is opened when a link first leads to it. All are closed at the end of the ``with`` block.
 
     Args:
-        data: the ``data`` folder of the dataset.
-        filename: the path in the link.
+        path: absolute path of the dataset's HDF5 file.
+        **options: options of :class:`h5py.File`.
+
+    Raises:
+        OSError: if the file cannot be opened, here or when a link leads to it.
+    """
+
+    def __init__(self, path: Path, **options: Any) -> None:
+        super().__init__()
+        self._options = options
+        self._opened: dict[Path, h5py.File] = {}
+        # For the folder and the file name of a link: the file, and its folder.
+        self._followed: dict[tuple[Path, bytes], tuple[h5py.File, Path]] = {}
+        self._data = path.parent
+        self.file = self._open(path)
+
+    def find(self, number: int) -> tuple[h5py.File, bytes]:
+        """Return the file that holds an episode, and the episode's name in it.
+
+        Raises:
+            DatasetError: if the episode is a link that leads out of the root, or through too many files.
+            KeyError: if there is no such episode.
+        """
+        file, data, name = self.file, self._data, file_format.episode_name(number).encode()
+        depth = 0
+        while True:
+            links = file.id.links
+            try:
+                kind = links.get_info(name).type
+            except RuntimeError:
+                raise KeyError(name) from None
+            if kind == h5l.TYPE_HARD:
+                return file, name
+            if kind != h5l.TYPE_EXTERNAL:
+                raise DatasetError(
+                    f"{file.filename}: {fsdecode(name)} is a soft link, which datasets do not have"
+                )
+            filename, target = links.get_val(name)
+            target = target.strip(b"/")
+            found = None if b"/" in target or depth == _MAX_LINKS else self._follow(data, filename)
+            if found is None:
+                raise DatasetError(
+                    f"{file.filename}: {fsdecode(name)} refers to {fsdecode(filename)[:80]!r}, "
+                    "which is no dataset of the Minari root"
+                )
+            (file, data), name = found, target
+            depth += 1
+
+    def check(self, number: int) -> None:
+        """Check that an episode takes all its values from datasets of the Minari root.
+
+        Raises:
+            DatasetError: if it does not.
+            KeyError: if there is no such episode.
+        """
+        file, name = self.find(number)
+        _check_group(h5o.open(file.id, name), f"{file.filename}: {fsdecode(name)}", 0)
+
+    def _follow(self, data: Path, filename: bytes) -> tuple[h5py.File, Path] | None:
+        """Return the file that a link leads to, and its folder; None if it is no dataset of the same root."""
+        link = data, filename
+        if link not in self._followed:
+            path = _linked_path(data, fsdecode(filename))
+            if path is None:
+                return None
+            # A staged dataset may be a link to the folder of one in the root.
+            folder = path.parent.resolve() if path.parent.parent.is_symlink() else path.parent
+            self._followed[link] = self._open(path), folder
+        return self._followed[link]
+
+    def _open(self, path: Path) -> h5py.File:
+        if path not in self._opened:
+            self._opened[path] = self.enter_context(h5py.File(path, "r", **self._options))
+        return self._opened[path]
+
+
+def _linked_path(data: Path, filename: str) -> Path | None:
+    """Return the path of the file that a link in the folder ``data`` leads to, or None if it leaves the root.
+
+    For a staged dataset, the staging folder stands for the root, so its links are checked as they will be.
     """
     data = Path(normpath(data.absolute()))
     root = Path(normpath(minari_root.datasets_root()))
@@ -42,57 +119,6 @@ def linked_file(data: Path, filename: str) -> Path | None:
     path = Path(normpath(data / filename))
     outside = not path.is_relative_to(root) or STAGING in path.relative_to(root).parts
     return None if outside or path.name != file_format.MAIN_FILE else path
-
-
-# For the folder and the file name of a link: the open file, and the folder of that file.
-Followed = dict[tuple[Path, bytes], tuple[Any, Path]]
-
-
-def follow(
-    file: Any, name: bytes, data: Path, opened: Callable[[Path], Any], followed: Followed, depth: int = 0
-) -> tuple[Any, bytes]:
-    """Return the file that holds an episode, and the episode's name in it.
-
-    Args:
-        file: the dataset's file, open.
-        name: the name of the episode in it.
-        data: the ``data`` folder of the dataset.
-        opened: opens another dataset's file.
-        followed: the files that earlier links led to. New ones are added.
-        depth: number of links that were followed before.
-
-    Raises:
-        DatasetError: if the episode is a link that leads out of the root, or through too many files.
-        KeyError: if there is no such episode.
-    """
-    links, where = file.id.links, fsdecode(name)
-    kind = _kind(file.id, name)
-    if kind == h5l.TYPE_HARD:
-        return file, name
-    if kind != h5l.TYPE_EXTERNAL:
-        raise DatasetError(f"{file.filename}: {where} is a soft link, which datasets do not have")
-    filename, target = links.get_val(name)
-    target = target.strip(b"/")
-    link = data, filename
-    if link not in followed and (path := linked_file(data, fsdecode(filename))) is not None:
-        # A staged dataset may be a link to the folder of one in the root.
-        folder = path.parent.resolve() if path.parent.parent.is_symlink() else path.parent
-        followed[link] = opened(path), folder
-    if link not in followed or b"/" in target or depth >= MAX_LINKS:
-        raise DatasetError(
-            f"{file.filename}: {where} refers to {fsdecode(filename)[:80]!r}, "
-            "which is no dataset of the Minari root"
-        )
-    other, folder = followed[link]
-    return follow(other, target, folder, opened, followed, depth + 1)
-
-
-def _kind(group: h5g.GroupID, name: bytes) -> int:
-    try:
-        kind: int = group.links.get_info(name).type
-    except RuntimeError:
-        raise KeyError(name) from None
-    return kind
 
 
 def check_array(array: h5d.DatasetID, where: str) -> None:
@@ -120,27 +146,6 @@ def check_links(group: h5g.GroupID, where: str) -> None:
         raise DatasetError(
             f"{where}{fsdecode(found[0])} is a link to elsewhere, which an episode does not have"
         )
-
-
-def check_episode(file: h5py.File, number: int, data: Path) -> None:
-    """Check that an episode takes all its values from datasets of the Minari root.
-
-    Args:
-        file: the dataset's file, open.
-        number: of the episode.
-        data: the ``data`` folder of the dataset.
-
-    Raises:
-        DatasetError: if it does not.
-        KeyError: if there is no such episode.
-    """
-    with ExitStack() as stack:
-
-        def opened(path: Path) -> h5py.File:
-            return stack.enter_context(h5py.File(path, "r"))
-
-        holder, name = follow(file, file_format.episode_name(number).encode(), data, opened, {})
-        _check_group(h5o.open(holder.id, name), f"{holder.filename}: {fsdecode(name)}", 0)
 
 
 def _check_group(group: Any, where: str, depth: int) -> None:

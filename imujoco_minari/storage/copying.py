@@ -9,25 +9,25 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
 from h5py import h5a, h5g, h5l, h5o
 
 from imujoco_minari.errors import DatasetError
-from imujoco_minari.storage import containment, file_format
+from imujoco_minari.storage import file_format
+from imujoco_minari.storage.containment import LinkedFiles
 from imujoco_minari.storage.quiet_file import safe_point
 from imujoco_minari.storage.writer import read_text, write_attribute
 
 _DIGEST = file_format.DIGEST.encode()
 
 
-def copy_episodes(source: h5py.File, episodes: Sequence[int], target: h5py.File, origin: str) -> None:
+def copy_episodes(source: LinkedFiles, episodes: Sequence[int], target: h5py.File, origin: str) -> None:
     """Append episodes to a file, with all their attributes. Episodes without digests get them.
 
     Args:
-        source: an open Minari file.
+        source: the dataset to copy from.
         episodes: numbers of the episodes to copy.
         target: the file to append to. Each episode gets its new number as ``id``.
         origin: the ``source`` attribute of episodes that have none, a dataset id.
@@ -36,12 +36,11 @@ def copy_episodes(source: h5py.File, episodes: Sequence[int], target: h5py.File,
         KeyError: if an episode is missing.
         DatasetError: if an episode takes values from elsewhere than a dataset of the Minari root.
     """
-    data = Path(os.fsdecode(source.filename)).parent
     for place, number in enumerate(episodes, start=len(target)):
         safe_point()
-        containment.check_episode(source, number, data)
+        source.check(number)
         name = file_format.episode_name(place)
-        h5o.copy(source.id, file_format.episode_name(number).encode(), target.id, name.encode())
+        h5o.copy(source.file.id, file_format.episode_name(number).encode(), target.id, name.encode())
         group = h5g.open(target.id, name.encode())
         h5a.open(group, b"id").write(np.array(place))
         if not h5a.exists(group, b"source"):
@@ -59,36 +58,24 @@ def episode_digest(file: h5py.File, number: int) -> str:
     return file_format.episode_sha256(file_format.array_digests(h5py.Group(group)))
 
 
-def link_episodes(source: h5py.File, episodes: Sequence[int], target: h5py.File, path: str) -> None:
-    """Append links to episodes of another file.
+def link_episodes(source: LinkedFiles, episodes: Sequence[int], target: h5py.File, path: str) -> None:
+    """Append links to episodes of another file, whose path is relative to the final folder of ``target``.
 
-    Args:
-        source: the file to link to, open.
-        episodes: numbers of the episodes.
-        target: the file to append to.
-        path: path of ``source`` relative to the final folder of ``target``.
-
-    Raises:
-        KeyError: if an episode is missing.
+    The other arguments and the errors are those of :func:`copy_episodes`.
     """
-    where, links = path.encode(), target.id.links
-    data = Path(os.fsdecode(source.filename)).parent
     for place, number in enumerate(episodes, start=len(target)):
-        containment.check_episode(source, number, data)
+        source.check(number)
         new, name = (file_format.episode_name(each).encode() for each in (place, number))
-        links.create_external(new, where, name)
+        target.id.links.create_external(new, path.encode(), name)
 
 
 def check_replaced(dataset_id: str, replaced: Path, files: Iterable[Path]) -> None:
-    """Check that a dataset does not replace a file that it links to, directly or through other links.
+    """Raise a DatasetError if a dataset would replace a file that it links to, also through other links.
 
     Args:
         dataset_id: the dataset's id.
         replaced: the HDF5 file that the dataset replaces.
         files: the HDF5 files that the dataset links to.
-
-    Raises:
-        DatasetError: if one of the files is the replaced file, or links to it.
     """
     lost, seen, waiting = os.path.realpath(replaced), set[str](), list(files)
     while waiting:
@@ -110,9 +97,3 @@ def _linked_files(path: Path) -> list[Path]:
         links = file.id.links
         names = {links.get_val(name)[0] for name in file.id if links.get_info(name).type == h5l.TYPE_EXTERNAL}
     return [path.parent / os.fsdecode(name) for name in names]
-
-
-def episode_attributes(file: h5py.File, episodes: Sequence[int], keys: Sequence[str]) -> list[dict[str, Any]]:
-    """Return for each episode the attributes among ``keys`` that it has."""
-    groups = (file[file_format.episode_name(number)].attrs for number in episodes)
-    return [{key: attrs[key] for key in keys if key in attrs} for attrs in groups]

@@ -57,10 +57,7 @@ def attributes(variant: Variant, tier: str) -> dict[str, Any]:
 
 
 def ranges_attributes(ranges: Ranges, tier: str) -> dict[str, Any]:
-    """Return the attributes of the file of a dataset whose episodes draw their variants from ranges.
-
-    ``ranges`` is a JSON object, parameter -> lowest and highest percent.
-    """
+    """Return the attributes of the file of a dataset whose episodes draw their variants from ranges."""
     return {
         "robot": ranges.robot,
         "tier": tier,

@@ -119,14 +119,7 @@ def processor() -> dict[str, Any]:
 
 
 def complete_metadata(data: Path, metadata: Mapping[str, Any]) -> None:
-    """Add metadata and the digests of both files to ``metadata.json``.
-
-    This is the last step before a dataset is committed.
-
-    Args:
-        data: the dataset's ``data`` folder.
-        metadata: the entries to add. The values must be JSON values.
-    """
+    """Add JSON values and the digests of both files to ``metadata.json``. The next step is a commit."""
     path, main_file = data / METADATA_FILE, file_format.main_file(data)
     whole: dict[str, Any] = json.loads(path.read_text("utf-8")) | dict(metadata)
     whole["dataset_size"] = round(main_file.stat().st_size / 1e6, 1)

@@ -16,21 +16,15 @@ def not_in_root(dataset_id: str) -> DatasetNotFoundError:
         imujoco/hopper-base-random-v0 is not in the Minari root, at .../imujoco/hopper-base-random-v0;
         make it with `imujoco publish hopper-base --tier random`
     """
-    command = making(dataset_id)
-    advice = f"make it with `{command}`" if command else f"see `minari list local`{_no_variant(dataset_id)}"
+    command, why = making(dataset_id), ""
+    if not command and dataset_id.startswith(f"{NAMESPACE}/"):
+        try:
+            parse_dataset_id(dataset_id)
+        except VariantError as error:
+            why = f". It names no variant: {error}"
+    advice = f"make it with `{command}`" if command else f"see `minari list local`{why}"
     folder = minari_root.dataset_folder(dataset_id)
     return DatasetNotFoundError(f"{dataset_id} is not in the Minari root, at {folder}; {advice}")
-
-
-def _no_variant(dataset_id: str) -> str:
-    """Return why an id of our namespace does not name a variant's dataset; empty for other ids."""
-    if not dataset_id.startswith(f"{NAMESPACE}/"):
-        return ""
-    try:
-        parse_dataset_id(dataset_id)
-    except VariantError as error:
-        return f". It names no variant: {error}"
-    return ""
 
 
 def making(dataset_id: str) -> str:

@@ -7,22 +7,23 @@ module uses h5py's low-level interface, which takes a third of the time and make
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from functools import cache, partial
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from imujoco_minari.errors import DatasetError
-from imujoco_minari.storage import containment, file_format
+from imujoco_minari.storage.containment import LinkedFiles, check_array, check_links
 
 Array = NDArray[Any]
 
+_hdf5_type = cache(partial(h5py.h5t.py_create, logical=True))
 
-class EpisodeFile:
+
+class EpisodeFile(LinkedFiles):
     """A ``main_data.hdf5`` that is open for reading. Links within the Minari root are followed.
 
     Args:
@@ -35,31 +36,22 @@ class EpisodeFile:
 
     def __init__(self, path: Path, name: str) -> None:
         self.name = name
-        self._stack = ExitStack()
-        self._types: dict[np.dtype[Any], h5py.h5t.TypeID] = {}
-        self._files: dict[Path, h5py.File] = {}
-        self._followed: containment.Followed = {}
         # Most episodes are used twice, for their length and for their arrays.
         self._groups: dict[int, h5py.h5g.GroupID] = {}
-        self._data = path.absolute().parent
-        self._file = self._open_file(path.absolute())
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stack.close()
+        try:
+            # An array has few chunks, but the default cache makes a table of 521 slots for each array.
+            super().__init__(path.absolute(), rdcc_nslots=31)
+        except OSError as error:
+            raise DatasetError(f"{name}: {path} cannot be read: {error}") from None
 
     @property
     def attributes(self) -> Mapping[str, Any]:
         """The attributes of the file."""
-        return dict(self._file.attrs)
+        return dict(self.file.attrs)
 
     def numbers(self) -> range:
         """Return the numbers of all episodes of the file."""
-        return range(len(self._file))
+        return range(len(self.file))
 
     def episode_attributes(self, episode: int, names: Sequence[str]) -> dict[str, Any]:
         """Return the attributes among ``names`` that an episode has."""
@@ -67,21 +59,13 @@ class EpisodeFile:
         return {name: attributes[name] for name in names if name in attributes}
 
     def layout(self, episode: int, name: str) -> tuple[tuple[int, ...], np.dtype[Any]]:
-        """Return the shape and the dtype of one array of an episode.
-
-        Raises:
-            DatasetError: if there is no such array, for example if observations are a dictionary.
-        """
+        """Return the shape and the dtype of one array of an episode; raise a DatasetError if it has none."""
         stored = self._open_array(self._open_group(episode), name, episode)
         return stored.shape, stored.dtype
 
     def length(self, episode: int) -> int:
-        """Return the number of steps of an episode.
-
-        Raises:
-            DatasetError: if its rewards are not an array with one row for each step.
-        """
-        shape = self._open_array(self._open_group(episode), "rewards", episode).shape
+        """Return the number of steps of an episode."""
+        shape, _ = self.layout(episode, "rewards")
         if not shape:
             raise DatasetError(f"{self.name}: episode {episode}: rewards are not an array")
         return int(shape[0])
@@ -104,43 +88,32 @@ class EpisodeFile:
                     f"{self.name}: episode {episode}: {name} have shape {stored.shape}, not {out.shape}"
                 )
             try:
-                stored.read(h5py.h5s.ALL, h5py.h5s.ALL, out, self._hdf5_type(out.dtype))
+                stored.read(h5py.h5s.ALL, h5py.h5s.ALL, out, _hdf5_type(out.dtype))
             except (OSError, TypeError) as error:
                 raise DatasetError(
                     f"{self.name}: episode {episode}: {name} cannot be read as {out.dtype}: {error}"
                 ) from None
 
-    def _hdf5_type(self, dtype: np.dtype[Any]) -> h5py.h5t.TypeID:
-        if dtype not in self._types:
-            self._types[dtype] = h5py.h5t.py_create(dtype, logical=True)
-        return self._types[dtype]
-
     def _open_group(self, episode: int) -> h5py.h5g.GroupID:
         """Return an episode's group, following a link."""
         if episode in self._groups:
             return self._groups[episode]
-        name = file_format.episode_name(episode).encode()
         try:
             # If HDF5 followed the link, it would open and close the other file for every episode.
-            file, name = containment.follow(self._file, name, self._data, self._open_file, self._followed)
+            file, name = self.find(episode)
         except KeyError:
             raise DatasetError(f"{self.name} has no episode {episode}") from None
+        except OSError as error:
+            raise DatasetError(
+                f"{self.name}: the file of episode {episode} cannot be read: {error}"
+            ) from None
         try:
             group = h5py.h5g.open(file.id, name)
         except (KeyError, ValueError):
             raise DatasetError(f"{self.name}: episode {episode} is not a group of {file.filename}") from None
-        containment.check_links(group, f"{self.name}: episode {episode}: ")
+        check_links(group, f"{self.name}: episode {episode}: ")
         self._groups[episode] = group
         return group
-
-    def _open_file(self, path: Path) -> h5py.File:
-        if path not in self._files:
-            try:
-                # An array has few chunks, but the default cache makes a table of 521 slots for each array.
-                self._files[path] = self._stack.enter_context(h5py.File(path, "r", rdcc_nslots=31))
-            except OSError as error:
-                raise DatasetError(f"{self.name}: {path} cannot be read: {error}") from None
-        return self._files[path]
 
     def _open_array(self, group: h5py.h5g.GroupID, name: str, episode: int) -> h5py.h5d.DatasetID:
         try:
@@ -150,5 +123,5 @@ class EpisodeFile:
                 f"{self.name}: episode {episode} has no array {name}; "
                 "valid: datasets whose observations and actions are arrays"
             ) from None
-        containment.check_array(array, f"{self.name}: episode {episode}: {name}")
+        check_array(array, f"{self.name}: episode {episode}: {name}")
         return array

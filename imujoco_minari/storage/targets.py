@@ -16,7 +16,7 @@ import h5py
 
 from imujoco_minari.errors import DatasetExistsError, StorageError
 from imujoco_minari.storage import transactions
-from imujoco_minari.storage.atomic import exchange
+from imujoco_minari.storage.files import exchange
 from imujoco_minari.storage.quiet_file import writing
 
 _PREFIX = ".imujoco-export-"

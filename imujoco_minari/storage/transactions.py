@@ -16,7 +16,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from imujoco_minari.errors import DatasetExistsError
-from imujoco_minari.storage.atomic import (
+from imujoco_minari.storage.files import (
     exchange,
     rename_new,
     sync_folder,
@@ -48,8 +48,6 @@ def taken(dataset_id: str) -> bool:
 @contextmanager
 def staging(*dataset_ids: str) -> Iterator[Path]:
     """Make a locked staging folder in the root and remove it at the end, also after an error.
-
-    Errors of files inside the block are raised as a StorageError.
 
     Args:
         *dataset_ids: ids that will be committed from it. An id that cannot be committed fails now, before
@@ -142,10 +140,10 @@ def _remove_leftovers(parent: Path, prefix: str = "") -> None:
             dead = try_lock(lock)
         except OSError:
             dead = False
-        if not dead:
+        if dead:
+            _discard(folder, lock)
+        else:
             os.close(lock)
-            continue
-        _discard(folder, lock)
 
 
 def _discard(folder: Path, lock: int) -> None:
@@ -154,10 +152,9 @@ def _discard(folder: Path, lock: int) -> None:
     if removable:
         shutil.rmtree(folder, ignore_errors=True)
     os.close(lock)
-    if not removable:
-        return
-    # NFS renames a removed file that is open, and removes it when it is closed.
-    shutil.rmtree(folder, ignore_errors=True)
+    if removable:
+        # NFS renames a removed file that is open, and removes it when it is closed.
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def commit(staged: Path, dataset_id: str, *, replace: bool = False) -> Path:
@@ -199,7 +196,7 @@ def remove(dataset_id: str) -> None:
     """Remove a dataset: it disappears in one step, then its files are deleted.
 
     Raises:
-        StorageError: when the root cannot be written.
+        StorageError: if the root cannot be written.
     """
     folder = dataset_folder(dataset_id)
     with staging() as staged, storage_errors(folder):
@@ -240,8 +237,7 @@ def _replace_in_two_steps(staged: Path, target: Path, dataset_id: str) -> None:
 def _finish_replacement(folder: Path) -> bool:
     """Finish an interrupted replacement: move the new dataset to its place, or else the old one back.
 
-    Returns:
-        Whether the folder can be removed. False if it has the old dataset and its place is empty.
+    Return whether the folder can be removed: it cannot if it has the old dataset and its place is empty.
     """
     if not (folder / _OLD_NAME).exists():
         return True

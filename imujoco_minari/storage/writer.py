@@ -7,7 +7,7 @@ keeps the file open, writes contiguous arrays, and writes the metadata when it i
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -33,11 +33,13 @@ _TEXT_TYPE = h5t.py_create(_TEXT, logical=True)
 class EpisodeStorage(HDF5Storage):  # type: ignore[misc]
     """Minari's HDF5 storage, with a fast path for episodes of plain arrays, which get digests.
 
+    Episodes that have numbers are written in the order of their numbers.
+
     Attributes:
-        attributes: attributes of every episode, in addition to Minari's own.
+        attributes: returns the attributes of the episode with a seed, in addition to Minari's own.
     """
 
-    attributes: Mapping[str, Any] = {}
+    attributes: Callable[[Any], Mapping[str, Any]]
 
     _file: h5py.File | None = None
     _episodes: int
@@ -46,6 +48,7 @@ class EpisodeStorage(HDF5Storage):  # type: ignore[misc]
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self._open = ExitStack()
+        self._waiting: dict[int, EpisodeBuffer] = {}
 
     def update_episodes(self, episodes: Iterable[EpisodeBuffer]) -> None:
         """Append new episodes whose observations and actions are plain arrays, without infos."""
@@ -54,16 +57,21 @@ class EpisodeStorage(HDF5Storage):  # type: ignore[misc]
             self._episodes, self._steps = metadata["total_episodes"], metadata["total_steps"]
             self._file = self._open.enter_context(writing(self._file_path))
         for buffer in episodes:
-            safe_point()
-            arrays = {key: np.asarray(getattr(buffer, key)) for key in file_format.ARRAYS}
-            length = len(arrays["rewards"])
-            attributes = {"id": self._episodes, "total_steps": length, **self.attributes}
-            if buffer.seed is not None:
-                attributes["seed"] = buffer.seed
-            attributes |= flatten_dict(buffer.options or {}, "options") | EpisodeMetadataCallback()(arrays)
-            write_episode(self._file, file_format.episode_name(self._episodes), arrays, attributes)
-            self._episodes += 1
-            self._steps += length
+            self._waiting[self._episodes if buffer.id is None else buffer.id] = buffer
+            while self._episodes in self._waiting:
+                self._write_next(self._waiting.pop(self._episodes))
+
+    def _write_next(self, buffer: EpisodeBuffer) -> None:
+        safe_point()
+        arrays = {key: np.asarray(getattr(buffer, key)) for key in file_format.ARRAYS}
+        length = len(arrays["rewards"])
+        attributes = {"id": self._episodes, "total_steps": length, **self.attributes(buffer.seed)}
+        if buffer.seed is not None:
+            attributes["seed"] = buffer.seed
+        attributes |= flatten_dict(buffer.options or {}, "options") | EpisodeMetadataCallback()(arrays)
+        write_episode(self._file, file_format.episode_name(self._episodes), arrays, attributes)
+        self._episodes += 1
+        self._steps += length
 
     @property
     def metadata(self) -> dict[str, Any]:
@@ -87,16 +95,10 @@ class EpisodeStorage(HDF5Storage):  # type: ignore[misc]
 
 
 def new_storage(folder: Path, env: gym.Env[Any, Any], attributes: Mapping[str, Any]) -> EpisodeStorage:
-    """Make an empty storage for the episodes of an environment.
-
-    Args:
-        folder: the new folder of the storage. Its parent must exist.
-        env: the environment. Its spaces and its spec are written to the metadata.
-        attributes: attributes of every episode, in addition to Minari's own.
-    """
+    """Make an empty storage in a new folder for the episodes of an environment, all with these attributes."""
     stock = MinariStorage.new(folder, env.observation_space, env.action_space, env.spec)
     storage = EpisodeStorage(folder, stock.observation_space, stock.action_space)
-    storage.attributes = attributes
+    storage.attributes = lambda seed: attributes
     return storage
 
 
@@ -105,8 +107,7 @@ def write_episode(
 ) -> None:
     """Write an episode group with its arrays, its attributes and its digests.
 
-    This uses h5py's low-level interface, because the high-level one takes four times as long to write
-    something as small as an attribute.
+    h5py's high-level interface takes four times as long to write something as small as an attribute.
     """
     group = h5g.create(file.id, name.encode())
     # Minari prints the keys of an episode's infos, and fails if there is no group.

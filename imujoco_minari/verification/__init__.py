@@ -109,26 +109,24 @@ def inspect(data: Path, *, replay_episodes: int | None = None, untrusted: bool =
     metadata = read_metadata(data)
     findings = child_process.check_apart(data, metadata) if untrusted else check(data, metadata)
     if findings.replayable and replay_episodes != 0:
-        findings += _replayed(data, metadata, None if replay_episodes is None else range(replay_episodes))
+        findings += _replayed(data, metadata, range(metadata["total_episodes"])[:replay_episodes])
     findings.clip()
     return findings
 
 
 def _replayed(
-    data: Path, metadata: Mapping[str, Any], numbers: range | None, on_episode: _OnEpisode = None
+    data: Path, metadata: Mapping[str, Any], numbers: range, on_episode: _OnEpisode = None
 ) -> list[Finding]:
-    """Replay the numbered episodes of a dataset that was checked, None for all; return what differs.
+    """Replay the numbered episodes of a dataset that was checked; return what differs.
 
     The share with the first episode also checks the policies' actions.
     """
     findings: list[Finding] = []
     try:
         with h5py.File(file_format.main_file(data), "r") as file:
-            every = range(len(file))
-            chosen = every if numbers is None else every[numbers.start : numbers.stop]
-            if 0 in chosen:
+            if 0 in numbers:
                 findings += actions(file, metadata)
-            for finding in replay(file, chosen, dataset_models(metadata), on_episode):
+            for finding in replay(file, numbers, dataset_models(metadata), on_episode):
                 findings.append(finding)
                 if len(findings) >= MAX_FINDINGS:
                     break
@@ -141,10 +139,9 @@ def _replayed_by_jobs(
     data: Path, metadata: Mapping[str, Any], jobs: int, backend: str | None, on_episode: _OnEpisode
 ) -> list[Finding]:
     """Replay all episodes in shares; return what differs, in the order of the episodes."""
+    episodes = metadata["total_episodes"]
     if jobs == 1 and backend is None:
-        return _replayed(data, metadata, None, on_episode)
-    with h5py.File(file_format.main_file(data), "r") as file:
-        episodes = len(file)
+        return _replayed(data, metadata, range(episodes), on_episode)
     # Several shares a job, so that none waits long for another at the end.
     count = min(episodes, 4 * max(jobs, 2) if backend is None else 256)
     bounds = [round(bound) for bound in np.linspace(0, episodes, count + 1)]
@@ -154,8 +151,8 @@ def _replayed_by_jobs(
     for number, findings in run_jobs(work, shares, jobs=jobs, backend=backend):
         share = shares[number]
         if isinstance(findings, JobError):
-            where = f"{file_format.episode_name(share.start)} to {file_format.episode_name(share.stop - 1)}"
-            findings = [Finding(where, f"could not be replayed: {findings}")]
+            first, last = (file_format.episode_name(one) for one in (share[0], share[-1]))
+            findings = [Finding(f"{first} to {last}", f"could not be replayed: {findings}")]
         found[number] = findings
         for _ in share:
             if on_episode is not None:

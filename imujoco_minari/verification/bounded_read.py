@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from contextlib import ExitStack
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import h5py
@@ -19,6 +17,7 @@ import numpy as np
 
 from imujoco_minari.errors import DatasetError
 from imujoco_minari.storage import containment, file_format
+from imujoco_minari.storage.containment import LinkedFiles
 from imujoco_minari.verification.findings import Finding, shown
 
 # An episode of 1000 steps of these robots has arrays of 136 kB at most.
@@ -41,21 +40,12 @@ class UnreadableError(Exception):
 
 @dataclass(frozen=True)
 class ReadableArray:
-    """An array below an episode that may be read: its HDF5 dataset and its attributes."""
+    """An array below an episode that may be read: its HDF5 dataset, shape, type and attributes."""
 
     dataset: h5py.h5d.DatasetID
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
     attributes: Mapping[str, Any]
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """The array's shape."""
-        return tuple(self.dataset.shape)
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """The array's type."""
-        dtype: np.dtype[Any] = self.dataset.dtype
-        return dtype
 
     def read(self) -> Any:
         """Return the array's values."""
@@ -92,23 +82,25 @@ def check_names(file: h5py.File) -> None:
         raise UnreadableError(file_format.MAIN_FILE, f"holds {shown(odd)} out of sequence")
 
 
-def look(file: h5py.File, data: Path, number: int) -> Episode:
-    """Return an episode of an open file that lies, or will lie, in the folder ``data``.
+def look(files: LinkedFiles, number: int) -> Episode:
+    """Return an episode of a dataset.
 
     Raises:
         UnreadableError: for links, odd types, and claims without bounds.
     """
     name = file_format.episode_name(number)
-    link = file.get(name, getlink=True)
-    linked = not isinstance(link, h5py.HardLink)
-    if linked:
-        _follow(file, data, name)
-    group = file[name].id
+    try:
+        holder, place = files.find(number)
+        group = h5py.h5o.open(holder.id, place)
+    except DatasetError as error:
+        raise UnreadableError(name, str(error)) from None
+    except (OSError, KeyError) as error:
+        raise UnreadableError(name, f"refers to what cannot be read: {str(error)[:120]}") from None
     if not isinstance(group, h5py.h5g.GroupID):
         raise UnreadableError(name, "is no group")
     if len(group) > MAX_ARRAYS:
         raise UnreadableError(name, f"holds more than {MAX_ARRAYS} arrays")
-    return Episode(name, linked, attributes(group, name), _arrays(group, name))
+    return Episode(name, holder is not files.file, attributes(group, name), _arrays(group, name))
 
 
 def attributes(item: Any, where: str) -> dict[str, Any]:
@@ -139,23 +131,6 @@ def attributes(item: Any, where: str) -> dict[str, Any]:
     return found
 
 
-def _follow(file: h5py.File, data: Path, name: str) -> None:
-    """Raise for a link that does not lead to an episode of another dataset of the Minari root."""
-    with ExitStack() as stack:
-
-        def opened(path: Path) -> h5py.File:
-            return stack.enter_context(h5py.File(path, "r"))
-
-        try:
-            holder, target = containment.follow(file, name.encode(), data, opened, {})
-            if target not in holder.id:
-                raise UnreadableError(name, f"refers to {shown(target)}, which does not exist")
-        except DatasetError as error:
-            raise UnreadableError(name, str(error)) from None
-        except (OSError, KeyError) as error:
-            raise UnreadableError(name, f"refers to what cannot be read: {str(error)[:120]}") from None
-
-
 def _arrays(group: Any, where: str) -> dict[str, ReadableArray]:
     """Return the arrays of an episode. Beside them it may hold an empty group of infos, and nothing else."""
     try:
@@ -176,7 +151,7 @@ def _arrays(group: Any, where: str) -> dict[str, ReadableArray]:
         except DatasetError as error:
             raise UnreadableError(place, str(error).removeprefix(f"{place} ")) from None
         _check_size(array, place)
-        found[key] = ReadableArray(array, attributes(array, place))
+        found[key] = ReadableArray(array, array.shape, array.dtype, attributes(array, place))
     return found
 
 

@@ -1,72 +1,23 @@
 """Checks everything of a dataset except its replay, in parts that processes can share.
 
-Each part checks some episodes, and keeps their steps, variants, digests and so on. Merging the parts adds
-the checks that need all episodes.
+Each part checks some episodes. Merging the parts adds the checks that need all episodes.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import h5py
 
 from imujoco_minari.storage import file_format
+from imujoco_minari.storage.containment import LinkedFiles
 from imujoco_minari.storage.metadata import METADATA_FILE
-from imujoco_minari.variants.original import CATALOGUE, variant_of
+from imujoco_minari.variants.original import CATALOGUE
 from imujoco_minari.verification import bounded_read, digests, expected, identity, structure
-from imujoco_minari.verification.expected import Content
+from imujoco_minari.verification.content import Content
 from imujoco_minari.verification.findings import MAX_FINDINGS, Finding, Findings, differing
-
-
-@dataclass
-class PartialCheck:
-    """The result of checking some of a dataset's episodes.
-
-    Attributes:
-        findings: what is wrong with them.
-        readable: whether all of them could be read.
-        sound: whether all of them are complete enough to be replayed.
-        intact: whether no digest differs.
-        linked: whether all of them are links to other files.
-        episodes: number of episodes in the whole dataset.
-        steps: number of their steps.
-        identities: the attributes that name variant and tier, each combination once.
-        runs: see :class:`~imujoco_minari.verification.expected.Content`.
-        unreplayed: how many of them were imported without seeds.
-        returns: their returns, as stated.
-        digests: their digests, as stored.
-    """
-
-    findings: list[Finding] = field(default_factory=list)
-    readable: bool = True
-    sound: bool = True
-    intact: bool = True
-    linked: bool = True
-    episodes: int = 0
-    steps: int = 0
-    identities: list[dict[str, str]] = field(default_factory=list)
-    runs: list[tuple[int, dict[str, Any]]] = field(default_factory=list)
-    unreplayed: int = 0
-    returns: list[float] = field(default_factory=list)
-    digests: list[str] = field(default_factory=list)
-
-    def to_json(self) -> str:
-        """Return the part as text."""
-        return json.dumps(asdict(self))
-
-    @classmethod
-    def from_json(cls, text: str | bytes) -> PartialCheck:
-        """Return the part of :meth:`to_json`.
-
-        Raises:
-            ValueError, TypeError, KeyError: when the text is not a part.
-        """
-        values = json.loads(text)
-        return cls(**values | {"findings": [Finding(**finding) for finding in values["findings"]]})
 
 
 def check(data: Path, metadata: Mapping[str, Any]) -> Findings:
@@ -79,9 +30,9 @@ def check(data: Path, metadata: Mapping[str, Any]) -> Findings:
     return merge(data, metadata, [check_part(data, metadata)])
 
 
-def check_part(data: Path, metadata: Mapping[str, Any], number: int = 0, count: int = 1) -> PartialCheck:
+def check_part(data: Path, metadata: Mapping[str, Any], number: int = 0, count: int = 1) -> Content:
     """Check one of ``count`` parts of the storage in the folder ``data``; the first checks the files too."""
-    part = PartialCheck()
+    part = Content()
     try:
         _check(part, data, metadata, number, count)
     except bounded_read.UnreadableError as error:
@@ -93,12 +44,13 @@ def check_part(data: Path, metadata: Mapping[str, Any], number: int = 0, count: 
     return part
 
 
-def merge(data: Path, metadata: Mapping[str, Any], parts: Sequence[PartialCheck]) -> Findings:
+def merge(data: Path, metadata: Mapping[str, Any], parts: Iterable[Content]) -> Findings:
     """Return what the parts found, and what the checks of all episodes together find."""
-    findings = Findings((finding for part in parts for finding in part.findings), replayable=False)
-    if all(part.readable for part in parts):
+    content = Content().add(parts)
+    findings = Findings(content.findings, replayable=False)
+    if content.readable:
         try:
-            _check_whole(findings, data, metadata, parts)
+            _check_whole(findings, data, metadata, content)
         except Exception as error:  # as above
             findings.append(unreadable(data, error))
             findings.replayable = False
@@ -110,7 +62,7 @@ def unreadable(data: Path, error: Exception) -> Finding:
     return Finding(str(data), f"cannot be read: {type(error).__name__}: {str(error)[:200]}")
 
 
-def _check(part: PartialCheck, data: Path, metadata: Mapping[str, Any], number: int, count: int) -> None:
+def _check(part: Content, data: Path, metadata: Mapping[str, Any], number: int, count: int) -> None:
     for name in (METADATA_FILE, file_format.MAIN_FILE):
         if not (data / name).is_file():
             raise bounded_read.UnreadableError(name, "is missing")
@@ -119,18 +71,20 @@ def _check(part: PartialCheck, data: Path, metadata: Mapping[str, Any], number: 
     if number == 0:
         # This comes before the file is opened, so that it is reported of a file that cannot be read too.
         part.findings += [*digests.files(data, metadata), *identity.loadable(metadata)]
-    with h5py.File(file_format.main_file(data), "r") as file:
-        bounded_read.check_names(file)
-        part.episodes, root = len(file), bounded_read.attributes(file.id, "")
-        for episode in range(part.episodes * number // count, part.episodes * (number + 1) // count):
-            _check_episode(part, bounded_read.look(file, data, episode), episode, root, metadata)
+    with LinkedFiles(file_format.main_file(data)) as files:
+        bounded_read.check_names(files.file)
+        total, root = len(files.file), bounded_read.attributes(files.file.id, "")
+        episodes = range(total * number // count, total * (number + 1) // count)
+        part.episodes = len(episodes)
+        for episode in episodes:
+            _check_episode(part, bounded_read.look(files, episode), episode, root, metadata)
             if len(part.findings) >= MAX_FINDINGS:
                 part.sound = False
                 return
 
 
 def _check_episode(
-    part: PartialCheck,
+    part: Content,
     episode: bounded_read.Episode,
     number: int,
     root: Mapping[str, Any],
@@ -149,8 +103,8 @@ def _check_episode(
         return
     variant = identity.variant(episode)
     named = {key: str(episode.attributes.get(key, "")) for key in ("variant", CATALOGUE, "tier")}
-    if variant is not None and named not in part.identities:
-        part.identities.append(named)
+    if variant is not None and named not in part.named:
+        part.named.append(named)
     attributes = expected.policy_attributes(episode.attributes)
     if not part.runs or part.runs[-1][1] != attributes:
         part.runs.append((number, attributes))
@@ -162,32 +116,19 @@ def _check_episode(
     part.intact &= not changed
 
 
-def _check_whole(
-    findings: Findings, data: Path, metadata: Mapping[str, Any], parts: Sequence[PartialCheck]
-) -> None:
+def _check_whole(findings: Findings, data: Path, metadata: Mapping[str, Any], content: Content) -> None:
     """Add the findings of the checks that need all episodes."""
-    totals = {"total_episodes": parts[0].episodes, "total_steps": sum(part.steps for part in parts)}
+    totals = {"total_episodes": content.episodes, "total_steps": content.steps}
     obstacles = list(differing("metadata.json/", metadata, totals, ", as in the file"))
     findings += obstacles
-    named = [named for part in parts for named in part.identities]
-    whole = named and all(part.sound for part in parts)
-    if obstacles or any(identity.loadable(metadata)) or not whole:
+    if obstacles or any(identity.loadable(metadata)) or not (content.named and content.sound):
         return
     with h5py.File(file_format.main_file(data), "r") as file:
         root = bounded_read.attributes(file.id, "")
-    sealed = [digest for part in parts for digest in part.digests]
-    content = Content(
-        identities=list(dict.fromkeys((variant_of(one), one["tier"]) for one in named)),
-        episodes=len(sealed),
-        runs=[run for part in parts for run in part.runs],
-        unreplayed=sum(part.unreplayed for part in parts),
-        returns=[value for part in parts for value in part.returns],
-        repeated=len(sealed) - len(set(sealed)),
-    )
     findings += identity.whole(root, metadata, content)
     known = expected.known(metadata, content)
     findings += expected.compare(metadata, content, known)
     findings.exceptions = tuple(expected.exceptions(metadata, content, known))
-    if all(part.intact for part in parts):
-        findings += digests.whole(sealed, root, metadata, all(part.linked for part in parts))
+    if content.intact:
+        findings += digests.whole(content, root, metadata)
     findings.replayable = True

@@ -21,7 +21,8 @@ from imujoco_minari.limits import run_all_limited
 from imujoco_minari.storage import file_format
 from imujoco_minari.storage.metadata import read_metadata
 from imujoco_minari.verification import digests
-from imujoco_minari.verification.check import PartialCheck, check_part, merge
+from imujoco_minari.verification.check import check_part, merge
+from imujoco_minari.verification.content import Content
 from imujoco_minari.verification.findings import Finding, Findings
 
 MAX_MEMORY_BYTES = 2**33
@@ -47,13 +48,7 @@ def survives_walk(path: Path) -> Finding | None:
 
 
 def check_apart(data: Path, metadata: Mapping[str, Any], jobs: int = 1) -> Findings:
-    """Check a dataset as :func:`~imujoco_minari.verification.check.check` does, in child processes.
-
-    Args:
-        data: the folder of the dataset's storage.
-        metadata: the content of its ``metadata.json``.
-        jobs: how many children at once, each with a part of the episodes.
-    """
+    """Check a dataset as ``check.check`` does, in up to ``jobs`` child processes at once."""
     stated = metadata.get("total_episodes")
     count = max(1, min(jobs, stated // _EPISODES_A_CHILD)) if isinstance(stated, int) else 1
     parts = _checked_parts(data, count)
@@ -64,15 +59,18 @@ def check_apart(data: Path, metadata: Mapping[str, Any], jobs: int = 1) -> Findi
     return Findings([*(digests.files(data, metadata) if readable else ()), parts], replayable=False)
 
 
-def _checked_parts(data: Path, count: int) -> list[PartialCheck] | Finding:
+def _checked_parts(data: Path, count: int) -> list[Content] | Finding:
     """Check a dataset in ``count`` child processes; return their parts, or how one of them failed."""
     arguments = [json.dumps([str(data.absolute()), number, count]) for number in range(count)]
     parts = []
     for result in _apart(_CHECK, arguments, file_format.main_file(data)):
-        part = result if isinstance(result, Finding) else _part(result)
-        if isinstance(part, Finding):
-            return part
-        parts.append(part)
+        if isinstance(result, Finding):
+            return result
+        try:
+            parts.append(Content.from_json(result))
+        except (ValueError, TypeError, KeyError):
+            words = "cannot be read: the process that read it gave no answer"
+            return Finding(file_format.MAIN_FILE, words)
     return parts
 
 
@@ -108,25 +106,12 @@ def _without_prefixes() -> None:
         del os.environ[name]
 
 
-def _part(result: bytes) -> PartialCheck | Finding:
-    try:
-        return PartialCheck.from_json(result)
-    except (ValueError, TypeError, KeyError):
-        return Finding(file_format.MAIN_FILE, "cannot be read: the process that read it gave no answer")
-
-
 def _apart(function: str, arguments: list[str], file: Path) -> list[bytes | Finding]:
     """Call a function in child processes; return each result, or how the process failed."""
-    seconds = _SECONDS + _size(file) // _BYTES_PER_SECOND
+    size = file.stat().st_size if file.is_file() else 0
+    seconds = _SECONDS + size // _BYTES_PER_SECOND
     results = run_all_limited(function, arguments, memory=MAX_MEMORY_BYTES, seconds=seconds)
     return [
         Finding(file.name, f"cannot be read: reading it {result}") if isinstance(result, JobError) else result
         for result in results
     ]
-
-
-def _size(path: Path) -> int:
-    try:
-        return path.stat().st_size
-    except OSError:
-        return 0

@@ -10,6 +10,7 @@ from typing import Any
 from imujoco_minari.storage import file_format
 from imujoco_minari.storage.metadata import sources
 from imujoco_minari.verification.bounded_read import Episode
+from imujoco_minari.verification.content import Content
 from imujoco_minari.verification.findings import Finding, differing, differs, same, shown
 
 
@@ -29,9 +30,7 @@ def files(data: Path, metadata: Mapping[str, Any]) -> Iterator[Finding]:
 def arrays(episode: Episode, read: Mapping[str, Any]) -> Iterator[Finding]:
     """Report arrays of an episode without the digest stored with them, and an episode without its own.
 
-    Args:
-        episode: the episode.
-        read: the values of the arrays that have been read before.
+    ``read`` holds the values of the arrays that have been read before.
     """
     digests = {}
     for key, array in sorted(episode.arrays.items()):
@@ -46,21 +45,12 @@ def arrays(episode: Episode, read: Mapping[str, Any]) -> Iterator[Finding]:
         yield Finding(f"{episode.name}@{file_format.DIGEST}", "is not the digest of the episode's arrays")
 
 
-def whole(
-    episodes: Sequence[str], root: Mapping[str, Any], metadata: Mapping[str, Any], linked: bool
-) -> Iterator[Finding]:
-    """Report a dataset whose digest is not that of its episodes.
-
-    Args:
-        episodes: the digests of its episodes, in their order.
-        root: the attributes of its file.
-        metadata: the content of its ``metadata.json``.
-        linked: whether it is a linked collection.
-    """
-    if linked:
-        yield from _linked(episodes, metadata)
+def whole(content: Content, root: Mapping[str, Any], metadata: Mapping[str, Any]) -> Iterator[Finding]:
+    """Report a dataset whose digest is not that of its episodes, given the attributes of its file."""
+    if content.linked:
+        yield from _linked(content.digests, metadata)
         return
-    digest = {"content_sha256": file_format.dataset_sha256(episodes)}
+    digest = {"content_sha256": file_format.dataset_sha256(content.digests)}
     yield from differing("@", root, digest)
     yield from differing("metadata.json/", metadata, digest)
 
@@ -69,9 +59,6 @@ def _linked(episodes: Sequence[str], metadata: Mapping[str, Any]) -> Iterator[Fi
     """Report sources of a linked collection that were replaced since it was made."""
     where = f"metadata.json/{file_format.LINKED}"
     stated = metadata.get(file_format.LINKED)
-    if stated is None and "content_sha256" not in metadata:
-        # Collections made by the first version do not state it.
-        return
     try:
         counts = [int(count) for count, _ in stated or []]
         digests = [str(digest) for _, digest in stated or []]

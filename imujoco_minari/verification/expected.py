@@ -6,12 +6,15 @@ does not follow, because it is not known here, is an exception: the result of th
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeGuard
 
 import numpy as np
+from gymnasium.spaces import Box
+from minari.serialization import serialize_space
 
 from imujoco_minari.errors import ImujocoError
 from imujoco_minari.policies.experts import expert_record
@@ -22,6 +25,7 @@ from imujoco_minari.storage import file_format
 from imujoco_minari.storage.metadata import PACKAGES, code_address, requirements, sources
 from imujoco_minari.variants import NAMESPACE, Variant, specification
 from imujoco_minari.variants.original import OriginalVariant, names_variant
+from imujoco_minari.verification.content import Content
 from imujoco_minari.verification.findings import Finding, differing, differs, plain, shown
 
 _POLICY_DIGESTS = re.compile(r"[0-9a-f]{64}(,[0-9a-f]{64})*", re.ASCII)
@@ -31,28 +35,6 @@ _REFERENCES = (
     ("num_episodes_average_score", "ref_min_evaluation", "episodes"),
     ("ref_max_score", "ref_max_evaluation", "return_mean"),
 )
-
-
-@dataclass(frozen=True)
-class Content:
-    """A summary of what the episodes of a dataset state.
-
-    Attributes:
-        identities: the variants and tiers of the episodes, each pair once.
-        episodes: number of episodes.
-        runs: the number of the first episode of each run of episodes that have the same attributes of
-            their policy (``rank``, ``rung``, ...), and these attributes.
-        unreplayed: number of episodes that were imported without seeds.
-        returns: return of each episode.
-        repeated: number of episodes that are equal to an earlier one.
-    """
-
-    identities: Sequence[tuple[Variant, str]]
-    episodes: int
-    runs: Sequence[tuple[int, Mapping[str, Any]]]
-    unreplayed: int
-    returns: Sequence[float]
-    repeated: int
 
 
 @dataclass(frozen=True)
@@ -126,17 +108,11 @@ def seed(metadata: Mapping[str, Any], number: int) -> int | None:
 def policy_attributes(attributes: Mapping[str, Any]) -> dict[str, Any]:
     """Return the attributes of an episode that state which policy of its tier made it."""
     stated = {key: plain(attributes[key]) for key in _POLICY_ATTRIBUTES if key in attributes}
-    return {
-        key: value if isinstance(value, str | int | float) else shown(value) for key, value in stated.items()
-    }
+    return {key: one if isinstance(one, str | int | float) else shown(one) for key, one in stated.items()}
 
 
 def possible_sources(metadata: Mapping[str, Any], variant: Variant, tier: str) -> list[str]:
-    """Return the datasets that an episode may name as its source.
-
-    Raises:
-        VariantError: when ``tier`` is no tier name.
-    """
+    """Return the datasets that an episode may name as its source; raise a VariantError for a wrong tier."""
     if is_randomised(metadata):
         return [str(metadata.get("dataset_id"))]
     return list(dict.fromkeys([variant.dataset_id(tier), *sources(metadata)]))
@@ -145,33 +121,19 @@ def possible_sources(metadata: Mapping[str, Any], variant: Variant, tier: str) -
 def spaces(robot: str) -> dict[str, Any]:
     """Return the serialised spaces of a robot's environments, as JSON values."""
     page = specification(robot)
+    observations = Box(-np.inf, np.inf, (page.observation_size,), np.float64)
+    actions = Box(-page.action_bound, page.action_bound, (page.action_size,), np.float32)
     return {
-        f"{name}_space": {
-            "type": "Box",
-            "dtype": dtype,
-            "shape": [size],
-            "low": [-bound] * size,
-            "high": [bound] * size,
-        }
-        for name, dtype, size, bound in (
-            ("observation", "float64", page.observation_size, float("inf")),
-            ("action", "float32", page.action_size, float(np.float32(page.action_bound))),
-        )
+        "observation_space": json.loads(serialize_space(observations)),
+        "action_space": json.loads(serialize_space(actions)),
     }
 
 
 def compare(metadata: Mapping[str, Any], content: Content, here: Known | None) -> Iterator[Finding]:
-    """Report metadata that this package would have written otherwise.
-
-    Args:
-        metadata: the metadata.
-        content: what the episodes state.
-        here: what :func:`known` returns.
-    """
+    """Report metadata that this package would have written otherwise; ``here`` is what is :func:`known`."""
     expected = _identity(metadata, content) | _versions(metadata, content)
-    # Collections and datasets of earlier versions state no returns.
     statistics = file_format.return_statistics(content.returns)
-    expected |= statistics if statistics.keys() & metadata.keys() else {}
+    expected |= dict.fromkeys(statistics) if is_collection(metadata) else statistics
     if here is not None:
         yield from _origin(metadata, imported=content.unreplayed > 0)
         expected |= _shape_of_references(metadata)
@@ -188,19 +150,14 @@ def compare(metadata: Mapping[str, Any], content: Content, here: Known | None) -
 
 
 def exceptions(metadata: Mapping[str, Any], content: Content, here: Known | None) -> Iterator[str]:
-    """Say what cannot be checked of a dataset, in words that follow "sound, but".
-
-    The arguments are those of :func:`compare`.
-    """
+    """Say what cannot be checked of a dataset, in words that follow "sound, but"."""
     if content.unreplayed == content.episodes:
         yield "not replayed: it was imported without seeds"
     elif content.unreplayed:
-        yield (
-            f"{content.unreplayed} of {content.episodes} episodes were not replayed: "
-            "they were imported without seeds"
-        )
-    if content.repeated:
-        yield f"{content.repeated} of its episodes are equal to earlier ones"
+        some = f"{content.unreplayed} of {content.episodes} episodes"
+        yield f"{some} were not replayed: they were imported without seeds"
+    if repeated := content.episodes - len(set(content.digests)):
+        yield f"{repeated} of its episodes are equal to earlier ones"
     if any(isinstance(variant, OriginalVariant) for variant, _ in content.identities):
         yield "its models are the ones that it stores: the original archive is not known here"
     if is_collection(metadata) and names_variant(str(metadata.get("dataset_id"))):
@@ -249,10 +206,8 @@ def _randomised_identity(metadata: Mapping[str, Any], content: Content) -> dict[
 
 
 def _versions(metadata: Mapping[str, Any], content: Content) -> dict[str, Any]:
-    """Return what the stated versions decide. Early collections state none."""
+    """Return what the stated versions decide."""
     versions = metadata.get("versions")
-    if versions is None and is_collection(metadata):
-        return {}
     if not isinstance(versions, dict) or any(not isinstance(versions.get(name), str) for name in PACKAGES):
         return {"versions": f"the versions of {', '.join(PACKAGES)}"}
     expected: dict[str, Any] = {"minari_version": versions["minari"]}

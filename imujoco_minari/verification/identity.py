@@ -26,7 +26,7 @@ from imujoco_minari.variants import Variant
 from imujoco_minari.variants.original import CATALOGUE, variant_of
 from imujoco_minari.verification import expected, structure
 from imujoco_minari.verification.bounded_read import Episode
-from imujoco_minari.verification.expected import Content
+from imujoco_minari.verification.content import Content
 from imujoco_minari.verification.findings import Finding, differing, differs, plain, same, shown
 from imujoco_minari.verification.replay import simulator
 
@@ -111,15 +111,7 @@ def episode(
     root: Mapping[str, Any],
     metadata: Mapping[str, Any],
 ) -> Iterator[Finding]:
-    """Report attributes of an episode that contradict its variant or its dataset.
-
-    Args:
-        found: the episode.
-        number: its place in the dataset.
-        variant: the variant that it names, if it names one.
-        root: the attributes of its file. Those of a collection may differ from its own.
-        metadata: the dataset's metadata.
-    """
+    """Report attributes of an episode that contradict its variant, or its dataset's file or metadata."""
     attrs, name = found.attributes, found.name
     if variant is None:
         yield differs(f"{name}@variant", attrs.get("variant"), "a variant")

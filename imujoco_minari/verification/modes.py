@@ -21,13 +21,9 @@ TOLERANCE = 1e-4
 
 
 def actions(file: h5py.File, metadata: Mapping[str, Any]) -> Iterator[Finding]:
-    """Report a known policy that did not choose the actions as the metadata state.
+    """Report a known policy that did not choose the actions as the metadata of a checked dataset state.
 
     It looks at the first episode of each policy only, so that the check takes no time beside the replay.
-
-    Args:
-        file: the open HDF5 file of a dataset that was checked.
-        metadata: its metadata.
     """
     first = 0
     stated = file[file_format.episode_name(0)].attrs

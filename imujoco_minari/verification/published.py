@@ -7,7 +7,7 @@ expert that is no longer shipped does not count.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -26,22 +26,16 @@ _RECIPE = ("total_episodes", "seed", "policy_sha256")
 _MADE_WITH = ("versions", "machine", "simd", "openblas_coretype")
 
 
-def compare_with_published(wanted: Mapping[str, Any], metadata: Mapping[str, Any]) -> Iterator[Finding]:
-    """Report how a dataset differs from the one that this version publishes under its id.
-
-    Args:
-        wanted: the :func:`published_entry` of the dataset.
-        metadata: the dataset's metadata.
-    """
+def compare_with_published(wanted: Mapping[str, Any], metadata: Mapping[str, Any]) -> list[Finding]:
+    """Return how a dataset differs from its :func:`published_entry`."""
     made_with = _content()["made_with"]
     recipe = {key: wanted[key] for key in _RECIPE}
-    found = list(differing("metadata.json/", metadata, recipe, ", as published"))
-    if not found:
-        other = [key for key in _MADE_WITH if metadata.get(key) != made_with.get(key)]
-        reason = f" with other {' and '.join(other)}" if other else ""
-        content = {"content_sha256": wanted["content_sha256"]}
-        found = list(differing("metadata.json/", metadata, content, f", as published{reason}"))
-    yield from found
+    if found := list(differing("metadata.json/", metadata, recipe, ", as published")):
+        return found
+    other = [key for key in _MADE_WITH if metadata.get(key) != made_with.get(key)]
+    reason = f" with other {' and '.join(other)}" if other else ""
+    content = {"content_sha256": wanted["content_sha256"]}
+    return list(differing("metadata.json/", metadata, content, f", as published{reason}"))
 
 
 def published_entry(dataset_id: str) -> dict[str, Any]:

@@ -63,13 +63,7 @@ def is_replayed(attributes: Mapping[str, Any]) -> bool:
 
 
 def values(episode: Episode, number: int, read: Mapping[str, Any]) -> Iterator[Finding]:
-    """Report flags, numbers and statistics that contradict each other.
-
-    Args:
-        episode: the episode. Its arrays must fit.
-        number: its place in the dataset.
-        read: the values of its arrays.
-    """
+    """Report flags, statistics and values (``read``) of an episode that contradict each other."""
     name, attrs = episode.name, episode.attributes
     ends = read["terminations"] | read["truncations"]
     if ends[:-1].any():

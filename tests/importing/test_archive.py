@@ -23,7 +23,7 @@ from imujoco_minari.importing.archive import open_archive
 from imujoco_minari.importing.catalogue_diff import published_models
 from imujoco_minari.importing.originals import Import, import_archive, import_variant, recollect
 from imujoco_minari.pictures.rendering.motion import replay
-from imujoco_minari.publishing.new_dataset import Published
+from imujoco_minari.publishing.outcome import Published
 from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.storage.metadata import complete_metadata
 from imujoco_minari.variants import Variant

@@ -14,14 +14,14 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from imujoco_minari.envs.mjcf import Floats, compile_mjcf, model_text
 from imujoco_minari.envs.registration import make
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError
 from imujoco_minari.policies import Array, Policy
-from imujoco_minari.storage import containment, file_format, minari_root
+from imujoco_minari.storage import file_format, minari_root
+from imujoco_minari.storage.containment import LinkedFiles
 from imujoco_minari.storage.metadata import read_metadata
 from imujoco_minari.storage.missing import not_in_root
 from imujoco_minari.variants import Variant, specification
@@ -174,10 +174,11 @@ def _read(
 
     The text is None if the model follows from the id. The seed is None if it is not known.
     """
-    with h5py.File(path, "r") as file:
+    with LinkedFiles(path.absolute()) as files:
+        file = files.file
         if not 0 <= episode < len(file):
             raise DatasetNotFoundError(f"{dataset_id} has no episode {episode}; valid: 0 to {len(file) - 1}")
-        containment.check_episode(file, episode, path.parent)
+        files.check(episode)
         group = file[file_format.episode_name(episode)]
         attributes = dict(group.attrs)
         arrays = {key: group[key][()] for key in file_format.ARRAYS}
