@@ -78,8 +78,9 @@ def transfer(
         raise VariantError("name the robot with --robot")
     variants = columns(robot, category)
     chosen = _read_policies(policies) if policies else expert_policies(robot, category)
-    # Report a missing matplotlib before the work, not after it.
-    new_figure(1.0, 1.0, "")
+    with new_figure(1.0, 1.0, ""):
+        # A missing matplotlib is reported before the work, not after it.
+        pass
     target = output or Path(f"transfer-{robot}")
     state = target / "transfer.json"
     with progress("evaluating", len(chosen) * len(variants), quiet=as_json) as advance:
