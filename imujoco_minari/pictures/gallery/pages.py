@@ -56,13 +56,9 @@ def variant_page(
     neighbours: tuple[Variant | None, Variant | None],
     results: Sequence[ResultTable] = (),
 ) -> str:
-    """Return the page of one variant.
+    """Return the page of one variant, with the clip and the returns of its base robot for comparison.
 
-    Args:
-        entry: the facts about the variant.
-        base: the facts about its base robot, whose clip and returns are shown for comparison.
-        neighbours: the variants of the previous and the next page.
-        results: tables of results of methods.
+    ``neighbours`` are the variants of the previous and the next page, ``results`` tables of methods' results.
     """
     variant = entry.variant
     figures = [(entry, "unchanged" if variant.category == BASE else "as changed")]
