@@ -121,7 +121,7 @@ def _print_record(record: Mapping[str, Any]) -> None:
         )
     evaluation, random = record.get("evaluation"), record.get("random")
     if evaluation is None:
-        out.print("return       not measured yet: `imujoco publish` and `imujoco evaluate` measure it")
+        out.print("return       not measured yet: `imujoco publish` and `imujoco_minari.evaluate` measure it")
         return
     made = f"the policy of {record['start']} as it is"
     if record.get("steps"):
