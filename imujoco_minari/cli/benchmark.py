@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from imujoco_minari.cli import options
 from imujoco_minari.cli.app import advancing, app
 from imujoco_minari.cli.estimates import plan, publishing_line, time_text
-from imujoco_minari.cli.options import argument, option
+from imujoco_minari.cli.options import AsJson, DryRun, Jobs, Output, Tiers, argument, option
 from imujoco_minari.cli.printing import counted, out, print_json, print_table, progress, say
 from imujoco_minari.errors import BenchmarkChoiceError, BenchmarkError, suggestion
 from imujoco_minari.variants import EXPERT, ROBOTS, HeldOut, held_out, parse_dataset_id
@@ -46,21 +45,22 @@ def few_shot(
     variants: Annotated[
         list[str] | None, option("--held-out VARIANT", "A held-out variant; may be repeated.")
     ] = None,
-    tiers: options.Tiers = None,
+    tiers: Tiers = None,
     budgets: Annotated[
         list[str] | None, option("--budget NAME", "Windows and their steps, as in 5x100 or 1xall.")
     ] = None,
     seeds: Seeds = None,
     settings: Annotated[
-        list[str] | None, option("--setting NAME=VALUE", "A setting of the methods; may be repeated.")
+        list[str] | None,
+        typer.Option("--setting", metavar="NAME=VALUE", help="A setting of the methods; may be repeated."),
     ] = None,
     validation: Annotated[
-        bool, option("--validation", "Hold out every fifth training variant instead.")
+        bool, typer.Option("--validation", help="Hold out every fifth training variant instead.")
     ] = False,
-    jobs: options.Jobs = 1,
-    output: options.Output = None,
-    dry_run: options.DryRun = False,
-    as_json: options.AsJson = False,
+    jobs: Jobs = 1,
+    output: Output = None,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
 ) -> None:
     """Run few-shot imitation.
 
@@ -113,10 +113,10 @@ def offline(
     tiers: Annotated[list[str] | None, option("--tier -t TIER", "A tier; may be repeated.")] = None,
     seeds: Seeds = None,
     updates: Annotated[int | None, option("--updates N", "Number of gradient steps.", min=1)] = None,
-    jobs: options.Jobs = 1,
-    output: options.Output = None,
-    dry_run: options.DryRun = False,
-    as_json: options.AsJson = False,
+    jobs: Jobs = 1,
+    output: Output = None,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
 ) -> None:
     """Run offline reinforcement learning on the bases' datasets.
 
@@ -147,9 +147,9 @@ def offline(
 @benchmark.command()
 def reproduce(
     seeds: Seeds = None,
-    jobs: options.Jobs = 1,
-    output: options.Output = None,
-    as_json: options.AsJson = False,
+    jobs: Jobs = 1,
+    output: Output = None,
+    as_json: AsJson = False,
 ) -> None:
     """Repeat the published comparison of MAML and fine-tuning on HalfCheetah.
 
@@ -174,7 +174,7 @@ def reproduce(
 
 
 @benchmark.command()
-def table(folder: Folder = RESULTS, output: options.Output = None, as_json: options.AsJson = False) -> None:
+def table(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = False) -> None:
     """Compute every score from result lines, and print them.
 
     The errors of the published comparison follow, if FOLDER has its lines. --output writes the scores as CSV
@@ -203,7 +203,7 @@ def table(folder: Folder = RESULTS, output: options.Output = None, as_json: opti
 
 
 @benchmark.command()
-def page(folder: Folder = RESULTS, output: options.Output = None, as_json: options.AsJson = False) -> None:
+def page(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = False) -> None:
     """Write the results page: Markdown, CSV and figures, all computed from result lines.
 
     It writes results.md, results.csv and the folder results-figures into the folder `docs`, unless --output
