@@ -9,8 +9,7 @@ Exit codes: 0 done, 1 failed, 2 something that was asked for does not exist, 130
 
 from __future__ import annotations
 
-# Each import adds its module's commands to the application. The help shows them in this order.
-from imujoco_minari.cli import (
+from imujoco_minari.cli import (  # noqa: F401  Each adds its commands to the help, in this order.
     benchmark,
     catalogue,
     datasets,
@@ -25,18 +24,4 @@ from imujoco_minari.cli import (
 )
 from imujoco_minari.cli.app import app, main
 
-__all__ = [
-    "app",
-    "benchmark",
-    "catalogue",
-    "datasets",
-    "export",
-    "gallery",
-    "importing",
-    "main",
-    "plot",
-    "remote",
-    "render",
-    "submissions",
-    "training",
-]
+__all__ = ["app", "main"]

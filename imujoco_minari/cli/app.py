@@ -15,10 +15,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from traceback import walk_stack
 from types import FrameType
-from typing import Annotated, Any, Protocol, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import typer
 
+from imujoco_minari.cli.options import option
 from imujoco_minari.cli.printing import fail, out, print_json, progress, say, with_name
 from imujoco_minari.errors import ImujocoError, ImujocoWarning
 
@@ -48,7 +49,7 @@ def main() -> None:
         # Interrupted work warns and fails in ways that help nobody: joblib warns of the jobs that it
         # cancels, and the thread that hands them out may fail.
         warnings.simplefilter("ignore")
-        threading.excepthook = _ignore_thread_exception
+        threading.excepthook = lambda raised: None
         signal.default_int_handler(number, frame)
 
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
@@ -81,10 +82,6 @@ def _open_closed_streams() -> None:
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             setattr(sys, name, Path(os.devnull).open(mode))  # noqa: SIM115
-
-
-def _ignore_thread_exception(raised: threading.ExceptHookArgs) -> None:
-    """Ignore an exception that ended a thread after an interrupt."""
 
 
 def _name_glfw_library() -> None:
@@ -159,20 +156,7 @@ def exit_code(missing: Sequence[bool]) -> int:
     return MISSING if all(missing) else FAILED
 
 
-class Outcome(Protocol):
-    """The outcome of one item of a batch."""
-
-    @property
-    def error(self) -> str:
-        """Why it failed; empty when it did not."""
-
-    @property
-    def missing(self) -> bool:
-        """Whether it failed because something that was asked for does not exist."""
-
-
-_Outcome = TypeVar("_Outcome", bound=Outcome)
-_Item = TypeVar("_Item")
+_Outcome = TypeVar("_Outcome")
 
 
 def gather(
@@ -185,22 +169,23 @@ def gather(
     """Print the outcomes of a batch as they come and its failures at the end. Exit with their code.
 
     Args:
-        outcomes: what the batch yields, failures included.
-        describe: returns what to print of an outcome that is no failure: a verb, the rest of its line,
-            and further lines. The last line of the batch counts the verbs.
+        outcomes: dataclasses. Each has ``error``, which is empty for a success, and ``missing``: whether it
+            failed because something that was asked for does not exist.
+        describe: returns what to print of a success: a verb, the rest of its line, and further lines. The
+            last line of the batch counts the verbs.
         as_json: print one JSON document instead of lines.
         name: the attribute of an outcome that names it.
 
     Raises:
         typer.Exit: if one of them failed.
     """
-    gathered: list[_Outcome] = []
+    results: list[dict[str, Any]] = []
     verbs = Counter[str]()
     stopped: ImujocoError | None = None
     try:
         for outcome in outcomes:
-            gathered.append(outcome)
-            if not outcome.error:
+            results.append(vars(outcome))
+            if not results[-1]["error"]:
                 verb, line, *details = describe(outcome)
                 verbs[verb] += 1
                 if not as_json:
@@ -208,22 +193,23 @@ def gather(
     except ImujocoError as error:
         stopped = error
     if as_json:
-        results = [vars(outcome) for outcome in gathered]
         print_json(results if stopped is None else {"results": results, "error": str(stopped)})
-    failures = [outcome for outcome in gathered if outcome.error]
-    for outcome in failures:
-        fail(with_name(getattr(outcome, name), outcome.error))
-    if len(gathered) > 1:
+    failures = [result for result in results if result["error"]]
+    for failure in failures:
+        fail(with_name(failure[name], failure["error"]))
+    if len(results) > 1:
         say(", ".join([*(f"{verb} {count}" for verb, count in verbs.items()), f"failed {len(failures)}"]))
+    missing = [failure["missing"] for failure in failures]
     if stopped is not None:
         fail(str(stopped))
-    missing = [outcome.missing for outcome in failures]
-    missing += [] if stopped is None else [stopped.missing]
+        missing.append(stopped.missing)
     if missing:
         raise typer.Exit(exit_code(missing))
 
 
-def advancing(outcomes: Iterable[_Item], description: str, total: int, *, quiet: bool) -> Iterator[_Item]:
+def advancing(
+    outcomes: Iterable[_Outcome], description: str, total: int, *, quiet: bool
+) -> Iterator[_Outcome]:
     """Yield the outcomes of a batch behind a bar that each of them advances by one."""
     with progress(description, total, quiet=quiet) as advance:
         for outcome in outcomes:
@@ -240,27 +226,22 @@ def _version(show: bool) -> None:
 
 
 def _load_catalogue(folders: list[Path] | None) -> None:
-    if folders:
-        from imujoco_minari import load_catalogue
+    from imujoco_minari import load_catalogue
 
-        for folder in folders:
-            load_catalogue(folder)
+    for folder in folders or []:
+        load_catalogue(folder)
+
+
+_FOLDERS = "A folder with pages of your own robots, or one page; may be repeated."
 
 
 @app.callback()
 def _options(
     catalogue: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--catalogue",
-            metavar="DIR",
-            callback=_load_catalogue,
-            is_eager=True,
-            help="A folder with pages of your own robots, or one page; may be repeated.",
-        ),
+        list[Path] | None, option("--catalogue DIR", _FOLDERS, callback=_load_catalogue, is_eager=True)
     ] = None,
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+        bool, option("--version", "Print the version.", callback=_version, is_eager=True)
     ] = False,
 ) -> None:
     """Publish, verify and combine Minari datasets of perturbed MuJoCo robots (iMuJoCo)."""

@@ -13,7 +13,7 @@ import typer
 
 from imujoco_minari.cli.app import advancing, app
 from imujoco_minari.cli.estimates import plan, publishing_line, time_text
-from imujoco_minari.cli.options import AsJson, DryRun, Jobs, Output, Tiers
+from imujoco_minari.cli.options import AsJson, DryRun, Jobs, Output, Tiers, argument, option
 from imujoco_minari.cli.printing import counted, out, print_json, print_table, progress, say
 from imujoco_minari.errors import BenchmarkChoiceError, BenchmarkError, suggestion
 from imujoco_minari.variants import EXPERT, ROBOTS, HeldOut, held_out, parse_dataset_id
@@ -33,29 +33,21 @@ RESULTS = Path("results")
 _COLUMNS = ("method", "steps", "data", "score", "low", "high", "error", "variants", "seeds")
 _ERROR_COLUMNS = ("method", "windows", "steps", "error", "std", "published")
 
-Folder = Annotated[Path, typer.Argument(metavar="FOLDER", help="The folder of result lines.")]
-Methods = Annotated[
-    list[str] | None, typer.Option("--method", "-m", metavar="NAME", help="A method; may be repeated.")
-]
-Seeds = Annotated[
-    int | None, typer.Option("--seeds", min=1, metavar="N", help="Number of seeds. [default: the protocol's]")
-]
+Folder = Annotated[Path, argument("FOLDER", "The folder of result lines.")]
+Methods = Annotated[list[str] | None, option("--method -m NAME", "A method; may be repeated.")]
+Seeds = Annotated[int | None, option("--seeds N", "Number of seeds. [default: the protocol's]", min=1)]
 
 
 @benchmark.command("few-shot")
 def few_shot(
-    splits: Annotated[
-        list[str] | None, typer.Option("--split", metavar="NAME", help="A split; may be repeated.")
-    ] = None,
+    splits: Annotated[list[str] | None, option("--split NAME", "A split; may be repeated.")] = None,
     methods: Methods = None,
     variants: Annotated[
-        list[str] | None,
-        typer.Option("--held-out", metavar="VARIANT", help="A held-out variant; may be repeated."),
+        list[str] | None, option("--held-out VARIANT", "A held-out variant; may be repeated.")
     ] = None,
     tiers: Tiers = None,
     budgets: Annotated[
-        list[str] | None,
-        typer.Option("--budget", metavar="NAME", help="Windows and their steps, as in 5x100 or 1xall."),
+        list[str] | None, option("--budget NAME", "Windows and their steps, as in 5x100 or 1xall.")
     ] = None,
     seeds: Seeds = None,
     settings: Annotated[
@@ -117,16 +109,10 @@ def few_shot(
 @benchmark.command()
 def offline(
     methods: Methods = None,
-    robots: Annotated[
-        list[str] | None, typer.Option("--base", metavar="ROBOT", help="A base robot; may be repeated.")
-    ] = None,
-    tiers: Annotated[
-        list[str] | None, typer.Option("--tier", "-t", metavar="TIER", help="A tier; may be repeated.")
-    ] = None,
+    robots: Annotated[list[str] | None, option("--base ROBOT", "A base robot; may be repeated.")] = None,
+    tiers: Annotated[list[str] | None, option("--tier -t TIER", "A tier; may be repeated.")] = None,
     seeds: Seeds = None,
-    updates: Annotated[
-        int | None, typer.Option("--updates", min=1, metavar="N", help="Number of gradient steps.")
-    ] = None,
+    updates: Annotated[int | None, option("--updates N", "Number of gradient steps.", min=1)] = None,
     jobs: Jobs = 1,
     output: Output = None,
     dry_run: DryRun = False,

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from imujoco_minari.cli import options
 from imujoco_minari.cli.app import app
-from imujoco_minari.cli.options import AsJson, Category, Robot, VariantId, WithBase
 from imujoco_minari.cli.printing import out, print_json, print_table
 from imujoco_minari.cli.selection import Filters, counted_variants
 from imujoco_minari.errors import VariantError
@@ -19,7 +19,10 @@ from imujoco_minari.variants import EXPERT, NAMESPACE, Variant, parse_dataset_id
 
 @app.command("list")
 def list_variants(
-    robot: Robot = None, category: Category = None, with_base: WithBase = False, as_json: AsJson = False
+    robot: options.Robot = None,
+    category: options.Category = None,
+    with_base: options.WithBase = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """List the variants of the catalogue.
 
@@ -72,7 +75,7 @@ def _published_tiers() -> dict[Variant, list[str]]:
 
 
 @app.command()
-def show(variant: VariantId, as_json: AsJson = False) -> None:
+def show(variant: options.VariantId, as_json: options.AsJson = False) -> None:
     """Show what a variant changes, in numbers, and its policy.
 
     Example: `imujoco show hopper-massdec_25_leggeom`
@@ -95,11 +98,10 @@ def show(variant: VariantId, as_json: AsJson = False) -> None:
             }
         )
         return
-    out.print(str(parsed), style="bold")
     published = f"published here: {', '.join(tiers)}" if tiers else "not published here"
-    out.print(
-        f"environment  {parsed.environment_id}", f"dataset      {parsed.dataset_id()}  ({published})", ""
-    )
+    out.print(str(parsed), style="bold")
+    out.print(f"environment  {parsed.environment_id}")
+    out.print(f"dataset      {parsed.dataset_id()}  ({published})", "")
     if changed:
         rows = [[d.quantity, f"{d.before:.6g}", f"{d.after:.6g}", d.unit] for d in changed]
         print_table(("changed", "base", "variant", "unit"), rows, numeric=("base", "variant"))

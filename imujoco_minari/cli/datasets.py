@@ -9,28 +9,22 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from imujoco_minari.cli import options
 from imujoco_minari.cli.app import advancing, app, exit_code, gather
 from imujoco_minari.cli.estimates import cost, plan, publishing_line, size_text
-from imujoco_minari.cli.options import (
-    AsJson,
-    Backend,
-    Category,
-    DryRun,
-    Episodes,
-    Everything,
-    Force,
-    Jobs,
-    MaybeDatasetIds,
-    PolicyFile,
-    Robot,
-    Seed,
-    Tier,
-    Tiers,
-    VariantIds,
-    WithBase,
+from imujoco_minari.cli.options import option, spread
+from imujoco_minari.cli.printing import (
+    counted,
+    fail,
+    out,
+    print_json,
+    print_table,
+    printable,
+    progress,
+    report,
+    say,
 )
-from imujoco_minari.cli.printing import counted, fail, out, print_json, print_table, printable, progress, say
-from imujoco_minari.cli.selection import Filters, not_published, select, select_datasets
+from imujoco_minari.cli.selection import DatasetChoice, VariantChoice
 from imujoco_minari.errors import ImujocoError, VariantError
 from imujoco_minari.policies.tiers import MEDIUM_REPLAY
 from imujoco_minari.storage import minari_root
@@ -45,24 +39,21 @@ if TYPE_CHECKING:
 
 
 @app.command("publish")
+@spread
 def publish_datasets(
-    variants: VariantIds = None,
-    robot: Robot = None,
-    category: Category = None,
-    everything: Everything = False,
-    with_base: WithBase = False,
-    tiers: Tiers = None,
-    episodes: Episodes = 100,
-    seed: Seed = 0,
-    policy: PolicyFile = None,
+    choice: VariantChoice,
+    tiers: options.Tiers = None,
+    episodes: options.Episodes = 100,
+    seed: options.Seed = 0,
+    policy: options.PolicyFile = None,
     stochastic: Annotated[
-        bool, typer.Option("--stochastic", help="Sample actions instead of taking their mode.")
+        bool, option("--stochastic", "Sample actions instead of taking their mode.")
     ] = False,
-    jobs: Jobs = 1,
-    backend: Backend = None,
-    force: Force = False,
-    dry_run: DryRun = False,
-    as_json: AsJson = False,
+    jobs: options.Jobs = 1,
+    backend: options.Backend = None,
+    force: options.Force = False,
+    dry_run: options.DryRun = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Publish variants as Minari datasets.
 
@@ -80,7 +71,7 @@ def publish_datasets(
 
     if policy is not None and not tiers:
         raise typer.BadParameter("--policy needs a --tier, which names the dataset: for example --tier mine")
-    chosen = select(variants, Filters(robot, category, everything, with_base))
+    chosen = choice.variants()
     recipes = [
         Recipe(variant, tier, episodes, seed, policy, stochastic)
         for tier in dict.fromkeys(tiers or [EXPERT])
@@ -120,10 +111,8 @@ def _published(
 def describe_published(outcome: Published) -> tuple[str, ...]:
     """Return what to print of a dataset that was published or existed already."""
     if not outcome.created:
-        return (
-            "left alone",
-            f"{outcome.dataset_id}: it exists already, at {outcome.path} (--force replaces it)",
-        )
+        exists = f"it exists already, at {outcome.path} (--force replaces it)"
+        return "left alone", f"{outcome.dataset_id}: {exists}"
     return (
         "published",
         f"{outcome.dataset_id}: {counted(outcome.episodes, 'episode')}, {counted(outcome.steps, 'step')}, "
@@ -142,20 +131,18 @@ def _describe_planned(planned: Planned) -> tuple[str, ...]:
 
 @app.command()
 def combine(
-    ids: MaybeDatasetIds = None,
-    new_id: Annotated[str | None, typer.Option("--id", metavar="ID", help="Id of the collection.")] = None,
-    robot: Robot = None,
-    category: Category = None,
-    with_base: WithBase = False,
-    tier: Tier = EXPERT,
+    ids: options.MaybeDatasetIds = None,
+    new_id: Annotated[str | None, option("--id ID", "Id of the collection.")] = None,
+    robot: options.Robot = None,
+    category: options.Category = None,
+    with_base: options.WithBase = False,
+    tier: options.Tier = EXPERT,
     partial: Annotated[
-        bool, typer.Option("--partial", help="Leave out variants that are not published. Needs --id.")
+        bool, option("--partial", "Leave out variants that are not published. Needs --id.")
     ] = False,
-    link: Annotated[
-        bool, typer.Option("--link", help="Refer to the episodes instead of copying them.")
-    ] = False,
-    force: Force = False,
-    as_json: AsJson = False,
+    link: Annotated[bool, option("--link", "Refer to the episodes instead of copying them.")] = False,
+    force: options.Force = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Combine datasets of one robot into a collection.
 
@@ -170,53 +157,51 @@ def combine(
     """
     from imujoco_minari.publishing.combiner import combine_datasets
 
-    filters = Filters(robot, category, with_base=with_base)
     if ids and partial:
         raise VariantError("--partial leaves out variants that --robot chooses: give no ids with it")
-    sources = select_datasets(ids, filters, [tier] if tier != EXPERT else None, published=partial)
+    tiers = [tier] if tier != EXPERT else None
+    choice = DatasetChoice(robot, category, with_base=with_base, ids=ids, tiers=tiers)
+    sources = choice.datasets(published=partial)
     if new_id is None:
         if ids or robot is None or with_base or partial:
             raise VariantError("name the collection with --id, as in imujoco/hopper-mine-v0")
         new_id = NamedCollection(robot, category, tier).dataset_id
-    if filters and (missing := [source for source in sources if not minari_root.exists(source)]):
+    if choice and (missing := [source for source in sources if not minari_root.exists(source)]):
         for dataset_id in missing:
             say(f"  {dataset_id}")
         other = ", or combine the others with --partial and an --id"
-        raise not_published(missing, sources, filters, [tier], other)
+        raise choice.not_published(len(missing), len(sources), other)
     created = force or not minari_root.exists(new_id)
     dataset = combine_datasets(sources, new_id, link=link, force=force)
-    path = dataset.storage.data_path.parent
-    if as_json:
-        summary = {"dataset_id": new_id, "path": path, "created": created, "combined_datasets": sources}
-        counts = {"episodes": dataset.total_episodes, "steps": dataset.total_steps}
-        print_json(summary | {"linked": link} | counts)
-        return
-    if not created:
-        out.print(f"left alone {new_id}: it combines these {len(sources)} datasets already", f"  at {path}")
-        return
-    out.print(
-        f"combined {counted(len(sources), 'dataset')} into {new_id}: "
-        f"{counted(int(dataset.total_episodes), 'episode')}, {counted(int(dataset.total_steps), 'step')}"
-        + (", linked" if link else ""),
-        f"  at {path}",
-    )
+    path, episodes, steps = dataset.storage.data_path.parent, dataset.total_episodes, dataset.total_steps
+    line = f"left alone {new_id}: it combines these {len(sources)} datasets already"
+    if created:
+        line = f"combined {counted(len(sources), 'dataset')} into {new_id}: "
+        line += f"{counted(int(episodes), 'episode')}, {counted(int(steps), 'step')}"
+        line += ", linked" if link else ""
+    document = {
+        "dataset_id": new_id,
+        "path": path,
+        "created": created,
+        "combined_datasets": sources,
+        "linked": link,
+        "episodes": episodes,
+        "steps": steps,
+    }
+    report(document, line, f"  at {path}", as_json=as_json)
 
 
 @app.command("verify")
+@spread
 def verify_datasets(
-    ids: MaybeDatasetIds = None,
-    robot: Robot = None,
-    category: Category = None,
-    everything: Everything = False,
-    with_base: WithBase = False,
-    tiers: Tiers = None,
+    choice: DatasetChoice,
     replay: Annotated[bool, typer.Option(help="Replay every episode from its seed and actions.")] = True,
     published: Annotated[
-        bool, typer.Option("--published", help="Compare with the digest that this version lists.")
+        bool, option("--published", "Compare with the digest that this version lists.")
     ] = False,
-    jobs: Jobs = 1,
-    backend: Backend = None,
-    as_json: AsJson = False,
+    jobs: options.Jobs = 1,
+    backend: options.Backend = None,
+    as_json: options.AsJson = False,
 ) -> None:
     """Check datasets for damage, and replay every episode.
 
@@ -235,7 +220,7 @@ def verify_datasets(
     """
     from imujoco_minari.verification import verify
 
-    chosen = select_datasets(ids, Filters(robot, category, everything, with_base), tiers)
+    chosen = choice.datasets()
     check = partial(verify, replay=replay, published=published, jobs=jobs, backend=backend)
     results: dict[str, Findings] = {}
     errors: list[ImujocoError] = []
@@ -284,18 +269,12 @@ def _episodes(dataset_id: str) -> int:
 
 
 @app.command("delete")
+@spread
 def delete_datasets(
-    ids: MaybeDatasetIds = None,
-    robot: Robot = None,
-    category: Category = None,
-    everything: Everything = False,
-    with_base: WithBase = False,
-    tiers: Tiers = None,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")] = False,
-    force: Annotated[
-        bool, typer.Option("--force", help="Delete datasets that a linked collection refers to.")
-    ] = False,
-    as_json: AsJson = False,
+    choice: DatasetChoice,
+    yes: Annotated[bool, option("--yes -y", "Do not ask.")] = False,
+    force: Annotated[bool, option("--force", "Delete datasets that a linked collection refers to.")] = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Delete datasets from the Minari root.
 
@@ -308,21 +287,15 @@ def delete_datasets(
     """
     from imujoco_minari.publishing.removal import delete
 
-    chosen = select_datasets(ids, Filters(robot, category, everything, with_base), tiers)
-    if not yes:
-        here = [dataset_id for dataset_id in chosen if minari_root.exists(dataset_id)]
-        if here:
-            _ask(here)
+    chosen = choice.datasets()
+    here = [dataset_id for dataset_id in chosen if minari_root.exists(dataset_id)]
+    if here and not yes:
+        _ask(here)
     gather(delete(chosen, force=force), _describe_deleted, as_json=as_json)
 
 
 def _ask(ids: list[str]) -> None:
-    """Ask whether to delete datasets.
-
-    Raises:
-        typer.Abort: if the answer is no.
-        VariantError: if nobody can answer.
-    """
+    """Ask whether to delete datasets. Stop if the answer is no, or if nobody can answer."""
     if not sys.stdin.isatty():
         raise VariantError(f"deleting {counted(len(ids), 'dataset')} needs an answer: give --yes in a script")
     for dataset_id in ids:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from imujoco_minari.cli.printing import counted
 from imujoco_minari.errors import DatasetError, ImujocoError, clipped
@@ -77,52 +77,60 @@ def plan(recipe: Recipe, *, force: bool = False) -> Planned:
 def publishing_line(planned: Sequence[Planned], jobs: int) -> str:
     """Return one line with the disk and the time that publishing the plan takes."""
     wanted = [each for each in planned if each.action != "leave alone" and not each.error]
-    line = counted(len(planned), "dataset")
-    if len(wanted) < len(planned):
-        line += f", {len(wanted)} of them to publish"
-    return f"{line}: {cost(sum(p.bytes for p in wanted), sum(p.seconds for p in wanted), jobs)}"
+    return work_line(
+        "dataset", "publish", len(planned), [(each.bytes, each.seconds) for each in wanted], jobs
+    )
 
 
-@dataclass(frozen=True)
-class PlannedExport:
-    """What ``imujoco export`` would write.
-
-    Attributes:
-        datasets: number of datasets.
-        episodes: number of their episodes.
-        steps: number of their steps.
-        bytes: about how much disk the original's archive takes; 0 for other formats.
-        seconds: about how long it takes to write.
-    """
-
-    datasets: int
-    episodes: int
-    steps: int
-    bytes: int = 0
-    seconds: float = 0.0
-
-    def __str__(self) -> str:
-        parts = (("dataset", self.datasets), ("episode", self.episodes), ("step", self.steps))
-        line = ", ".join(counted(count, noun) for noun, count in parts)
-        return f"{line}: {cost(self.bytes, self.seconds)}" if self.bytes else line
+def training_line(variants: Sequence[Variant], policies: Path | None, jobs: int, *, improve: bool) -> str:
+    """Return one line with the disk and the time that training takes: the missing experts, or all of them."""
+    base, expert = (BYTES_PER_BASE, SECONDS_PER_BASE), (BYTES_PER_EXPERT, SECONDS_PER_EXPERT)
+    wanted = [variant for variant in variants if improve or not own_record(variant, policies)]
+    costs = [base if variant.category == BASE else expert for variant in wanted]
+    return work_line("expert", "train", len(variants), costs, jobs)
 
 
-def plan_export(dataset_ids: Sequence[str], *, archive: bool) -> PlannedExport:
-    """Return what an export of published datasets would write; ``archive`` means the original's layout.
+def work_line(noun: str, verb: str, count: int, costs: Sequence[tuple[float, float]], jobs: int) -> str:
+    """Return one line with the cost of work: the bytes and seconds of each item that is not done yet."""
+    line = counted(count, noun)
+    if len(costs) < count:
+        line += f", {len(costs)} of them to {verb}"
+    sizes, seconds = zip(*costs, strict=True) if costs else ((), ())
+    return f"{line}: {cost(sum(sizes), sum(seconds), jobs)}"
+
+
+def gallery_line(count: int) -> str:
+    """Return one line with the disk and the time that a gallery of ``count`` variants and bases takes."""
+    drawing = cost(count * BYTES_PER_CLIP, count * SECONDS_PER_CLIP)
+    return f"{count} variants and bases: {drawing}, less for those that are drawn already"
+
+
+def plan_export(dataset_ids: Sequence[str], *, archive: bool) -> dict[str, Any]:
+    """Return the numbers of datasets, episodes and steps of an export, its bytes and its seconds.
+
+    The last two are 0 unless it is an ``archive``, which means the original's layout.
 
     Raises:
         DatasetError: if a dataset does not state its numbers of episodes and steps.
     """
-    episodes = steps = size = 0
-    for dataset_id in dataset_ids:
-        own_episodes, own_steps = _stated_counts(dataset_id)
-        episodes, steps = episodes + own_episodes, steps + own_steps
-        if archive:
+    counts = [_stated_counts(dataset_id) for dataset_id in dataset_ids]
+    steps = sum(own_steps for _, own_steps in counts)
+    size, seconds = 0, 0.0
+    if archive:
+        seconds = SECONDS_TO_START + SECONDS_PER_TABLE_STEP * steps + SECONDS_PER_ZIP * len(dataset_ids)
+        for dataset_id, (_, own_steps) in zip(dataset_ids, counts, strict=True):
             observation, action = specification(parse_dataset_id(dataset_id)[0].robot).sizes
             # Two observations, the action, the reward and two flags, all as float64.
             size += BYTES_PER_ZIP + 8 * (2 * observation + action + 3) * own_steps
-    seconds = SECONDS_TO_START + SECONDS_PER_TABLE_STEP * steps + SECONDS_PER_ZIP * len(dataset_ids)
-    return PlannedExport(len(dataset_ids), episodes, steps, size, seconds if archive else 0.0)
+    episodes = sum(own_episodes for own_episodes, _ in counts)
+    numbers = {"datasets": len(dataset_ids), "episodes": episodes, "steps": steps}
+    return numbers | {"bytes": size, "seconds": seconds}
+
+
+def export_line(planned: Mapping[str, Any]) -> str:
+    """Return the numbers of :func:`plan_export` in one line."""
+    line = ", ".join(counted(planned[f"{noun}s"], noun) for noun in ("dataset", "episode", "step"))
+    return f"{line}: {cost(planned['bytes'], planned['seconds'])}" if planned["bytes"] else line
 
 
 def _stated_counts(dataset_id: str) -> tuple[int, int]:
@@ -138,27 +146,6 @@ def _stated_counts(dataset_id: str) -> tuple[int, int]:
                 f"see `imujoco verify {dataset_id}`"
             )
     return stated["total_episodes"], stated["total_steps"]
-
-
-def training_line(variants: Iterable[Variant], policies: Path | None, jobs: int, *, improve: bool) -> str:
-    """Return one line with the disk and the time that training takes: the missing experts, or all of them."""
-    chosen = list(variants)
-    wanted = [variant for variant in chosen if improve or not own_record(variant, policies)]
-    base = sum(variant.category == BASE for variant in wanted)
-    size = base * BYTES_PER_BASE + (len(wanted) - base) * BYTES_PER_EXPERT
-    seconds = base * SECONDS_PER_BASE + (len(wanted) - base) * SECONDS_PER_EXPERT
-    line = counted(len(chosen), "expert")
-    if len(wanted) < len(chosen):
-        line += f", {len(wanted)} of them to train"
-    return f"{line}: {cost(size, seconds, jobs)}"
-
-
-def gallery_line(count: int) -> str:
-    """Return one line with the disk and the time that a gallery of ``count`` variants and bases takes."""
-    return (
-        f"{count} variants and bases: {cost(count * BYTES_PER_CLIP, count * SECONDS_PER_CLIP)}, "
-        "less for those that are drawn already"
-    )
 
 
 def cost(size: float, seconds: float, jobs: int = 1) -> str:

@@ -5,26 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
+from imujoco_minari.cli import options
 from imujoco_minari.cli.app import app
-from imujoco_minari.cli.estimates import plan_export
-from imujoco_minari.cli.options import (
-    AsJson,
-    Category,
-    DatasetIds,
-    DryRun,
-    Everything,
-    Force,
-    MaybeDatasetIds,
-    Output,
-    Robot,
-    Seed,
-    Tiers,
-    WithBase,
-)
-from imujoco_minari.cli.printing import counted, out, print_json, progress, say
-from imujoco_minari.cli.selection import Filters, not_published, select_datasets
+from imujoco_minari.cli.estimates import export_line, plan_export
+from imujoco_minari.cli.options import option, spread
+from imujoco_minari.cli.printing import counted, print_json, progress, report, say
+from imujoco_minari.cli.selection import DatasetChoice
 from imujoco_minari.errors import DatasetError, VariantError
 from imujoco_minari.storage import minari_root
 from imujoco_minari.storage.missing import not_in_root
@@ -33,31 +19,19 @@ _WHOLE = (0.0, 1.0)
 
 
 @app.command("export")
+@spread
 def export_datasets(
-    format: Annotated[
-        str,
-        typer.Option(
-            "--format", "-f", metavar="FORMAT", help="d4rl, di-engine, rlds, lerobot, npz or imujoco."
-        ),
-    ],
-    ids: MaybeDatasetIds = None,
-    robot: Robot = None,
-    category: Category = None,
-    everything: Everything = False,
-    with_base: WithBase = False,
-    tiers: Tiers = None,
-    output: Output = None,
-    states_only: Annotated[
-        bool, typer.Option("--states-only", help="Leave out actions and rewards.")
-    ] = False,
+    format: Annotated[str, option("--format -f FORMAT", "d4rl, di-engine, rlds, lerobot, npz or imujoco.")],
+    choice: DatasetChoice,
+    output: options.Output = None,
+    states_only: Annotated[bool, option("--states-only", "Leave out actions and rewards.")] = False,
     portion: Annotated[
-        tuple[float, float],
-        typer.Option(metavar="FROM TO", help="Share of each variant's episodes: from and to."),
+        tuple[float, float], option("--portion FROM TO", "Share of each variant's episodes: from and to.")
     ] = _WHOLE,
-    seed: Seed = 0,
-    force: Force = False,
-    dry_run: DryRun = False,
-    as_json: AsJson = False,
+    seed: options.Seed = 0,
+    force: options.Force = False,
+    dry_run: options.DryRun = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Write datasets in the format of another library.
 
@@ -74,12 +48,11 @@ def export_datasets(
     from imujoco_minari.exporting import ARCHIVE, default_target, export, export_archive
     from imujoco_minari.loading import arrays
 
-    filters = Filters(robot, category, everything, with_base)
-    chosen = select_datasets(ids, filters, tiers, published=False)
+    chosen = choice.datasets(published=False)
     missing = [dataset_id for dataset_id in chosen if not minari_root.exists(dataset_id)]
     if missing:
-        raise not_published(missing, chosen, filters, tiers) if filters else not_in_root(missing[0])
-    if output is None and (filters or format == ARCHIVE):
+        raise choice.not_published(len(missing), len(chosen)) if choice else not_in_root(missing[0])
+    if output is None and (choice or format == ARCHIVE):
         raise VariantError("name the new file or folder with --output")
     if format == ARCHIVE and (states_only or portion != _WHOLE):
         raise DatasetError(f"the format {ARCHIVE} has whole datasets: leave out --states-only and --portion")
@@ -87,9 +60,9 @@ def export_datasets(
     if dry_run or len(chosen) > 1:
         planned = plan_export(chosen, archive=format == ARCHIVE)
         if dry_run and as_json:
-            print_json(vars(planned))
+            print_json(planned)
         else:
-            say(str(planned))
+            say(export_line(planned))
         if dry_run:
             return
     if format == ARCHIVE:
@@ -98,30 +71,23 @@ def export_datasets(
     else:
         data = arrays(chosen, portion=portion, seed=seed)
         exported = export(data, format, target, states_only=states_only, force=force)
-    if as_json:
-        print_json(vars(exported))
-        return
-    out.print(
-        f"exported {counted(exported.episodes, 'episode')}, {counted(exported.steps, 'step')}, "
-        f"as {exported.format}",
-        f"  at {exported.path.resolve()}",
-    )
+    counts = f"{counted(exported.episodes, 'episode')}, {counted(exported.steps, 'step')}"
+    line = f"exported {counts}, as {exported.format}"
+    report(vars(exported), line, f"  at {exported.path.resolve()}", as_json=as_json)
 
 
 @app.command()
 def preferences(
-    ids: DatasetIds,
-    output: Output = None,
-    pairs: Annotated[int, typer.Option("--pairs", "-n", min=1, metavar="N", help="Number of pairs.")] = 1000,
-    length: Annotated[
-        int, typer.Option("--length", "-l", min=1, metavar="N", help="Steps of a segment.")
-    ] = 50,
+    ids: options.DatasetIds,
+    output: options.Output = None,
+    pairs: Annotated[int, option("--pairs -n N", "Number of pairs.", min=1)] = 1000,
+    length: Annotated[int, option("--length -l N", "Steps of a segment.", min=1)] = 50,
     tiers: Annotated[
-        str | None, typer.Option(metavar="TIERS", help="Tiers from best to worst, as expert,medium,random.")
+        str | None, option("--tiers TIERS", "Tiers from best to worst, as expert,medium,random.")
     ] = None,
-    seed: Seed = 0,
-    force: Force = False,
-    as_json: AsJson = False,
+    seed: options.Seed = 0,
+    force: options.Force = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Write pairs of segments, labelled with the better one.
 
@@ -135,7 +101,6 @@ def preferences(
     ranked = tiers.split(",") if tiers else None
     chosen = preference_pairs(arrays(ids), pairs=pairs, length=length, tiers=ranked, seed=seed)
     chosen.save(target, force=force)
-    if as_json:
-        print_json({"path": target, "pairs": pairs, "length": length, "tiers": ranked, "seed": seed})
-        return
-    out.print(f"wrote {counted(pairs, 'pair')} of {length} steps", f"  at {target.resolve()}")
+    document = {"path": target, "pairs": pairs, "length": length, "tiers": ranked, "seed": seed}
+    lines = f"wrote {counted(pairs, 'pair')} of {length} steps", f"  at {target.resolve()}"
+    report(document, *lines, as_json=as_json)

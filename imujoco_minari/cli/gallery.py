@@ -8,26 +8,24 @@ from typing import Annotated
 
 import typer
 
+from imujoco_minari.cli import options
 from imujoco_minari.cli.app import FAILED, app
 from imujoco_minari.cli.estimates import gallery_line, size_text
-from imujoco_minari.cli.options import AsJson, Category, Robot, VariantIds
-from imujoco_minari.cli.printing import fail, out, print_json, progress, say, with_name
-from imujoco_minari.cli.selection import Filters, select
+from imujoco_minari.cli.options import argument, option
+from imujoco_minari.cli.printing import fail, progress, report, say, with_name
+from imujoco_minari.cli.selection import VariantChoice
 
 
 @app.command()
 def gallery(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of the site.")],
-    variants: VariantIds = None,
-    robot: Robot = None,
-    category: Category = None,
+    folder: Annotated[Path, argument("FOLDER", "Folder of the site.")],
+    variants: options.VariantIds = None,
+    robot: options.Robot = None,
+    category: options.Category = None,
     results: Annotated[
-        Path | None,
-        typer.Option(
-            "--results", metavar="FOLDER", help="Show the few-shot scores of this folder's results."
-        ),
+        Path | None, option("--results FOLDER", "Show the few-shot scores of this folder's results.")
     ] = None,
-    as_json: AsJson = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Build a static website of the variants.
 
@@ -45,7 +43,8 @@ def gallery(
 
     start = time.monotonic()
     tables = variant_tables(read_results(results).few_shot) if results else {}
-    chosen = select(variants, Filters(robot, category, everything=not (variants or robot or category)))
+    everything = not (variants or robot or category)
+    chosen = VariantChoice(robot, category, everything, names=variants).variants()
     count = steps(folder, chosen)
     if not as_json and len(chosen) > 1:
         say(gallery_line(count))
@@ -60,13 +59,11 @@ def gallery(
         "bytes": size,
         "seconds": time.monotonic() - start,
     }
-    if as_json:
-        print_json(result)
-    else:
-        out.print(
-            f"wrote {result['index']}: {built.variants} variants and bases, {built.drawn} drawn anew, "
-            f"{size_text(size)}, in {result['seconds']:.0f} s"
-        )
+    line = (
+        f"wrote {result['index']}: {built.variants} variants and bases, {built.drawn} drawn anew, "
+        f"{size_text(size)}, in {result['seconds']:.0f} s"
+    )
+    report(result, line, as_json=as_json)
     for variant, reason in built.failed.items():
         fail(with_name(variant, reason))
     if built.failed:

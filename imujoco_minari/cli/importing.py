@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from imujoco_minari.cli import options
 from imujoco_minari.cli.app import FAILED, advancing, app, gather
 from imujoco_minari.cli.datasets import describe_published
-from imujoco_minari.cli.options import AsJson, Category, Columns, Episodes, Force, Robot, Seed, VariantIds
+from imujoco_minari.cli.options import argument, option
 from imujoco_minari.cli.printing import counted, out, print_json, print_table, say, with_name
 from imujoco_minari.errors import DatasetNotFoundError
 from imujoco_minari.variants import Variant
@@ -21,18 +22,18 @@ if TYPE_CHECKING:
 
 @app.command("import-archive")
 def import_archive_command(
-    place: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with xml, policies and dataset.")],
-    variants: VariantIds = None,
-    robot: Robot = None,
-    category: Category = None,
+    place: Annotated[Path, argument("DIR", "Folder with xml, policies and dataset.")],
+    variants: options.VariantIds = None,
+    robot: options.Robot = None,
+    category: options.Category = None,
     recollect: Annotated[
-        bool, typer.Option("--recollect", help="Roll out the archive's policies in its models.")
+        bool, option("--recollect", "Roll out the archive's policies in its models.")
     ] = False,
-    episodes: Episodes = 100,
-    seed: Seed = 0,
-    columns: Columns = None,
-    force: Force = False,
-    as_json: AsJson = False,
+    episodes: options.Episodes = 100,
+    seed: options.Seed = 0,
+    columns: options.Columns = None,
+    force: options.Force = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Publish the original's archive.
 
@@ -60,12 +61,11 @@ def import_archive_command(
 @app.command("diff-catalogue")
 def diff_catalogue(
     place: Annotated[
-        Path | None,
-        typer.Argument(metavar="DIR", help="The archive; by default, the datasets imported from it."),
+        Path | None, argument("DIR", "The archive; by default, the datasets imported from it.")
     ] = None,
-    robot: Robot = None,
-    category: Category = None,
-    as_json: AsJson = False,
+    robot: options.Robot = None,
+    category: options.Category = None,
+    as_json: options.AsJson = False,
 ) -> None:
     """Compare the original's models with ours.
 
@@ -92,15 +92,8 @@ def diff_catalogue(
         departures = [catalogue_diff.departure(variant, models[variant]) for variant in found]
     shared = catalogue_diff.coverage(found, robot, category)
     if as_json:
-        print_json(
-            {
-                "departures": [
-                    vars(departure) | {"differences": [vars(d) for d in departure.differences]}
-                    for departure in departures
-                ],
-                "coverage": vars(shared),
-            }
-        )
+        shown = [vars(each) | {"differences": list(map(vars, each.differences))} for each in departures]
+        print_json({"departures": shown, "coverage": vars(shared)})
     else:
         _print_departures(departures)
         out.print(
@@ -113,16 +106,12 @@ def diff_catalogue(
 
 @app.command("import")
 def import_command(
-    source: Annotated[
-        str, typer.Argument(metavar="SOURCE", help="A Minari id or folder, a D4RL HDF5 file, or an .npz.")
-    ],
-    variant: Annotated[
-        str, typer.Option("--variant", metavar="VARIANT", help="The variant that the data are of.")
-    ],
-    tier: Annotated[str, typer.Option("--tier", "-t", metavar="TIER", help="The tier to publish them as.")],
-    columns: Columns = None,
-    force: Force = False,
-    as_json: AsJson = False,
+    source: Annotated[str, argument("SOURCE", "A Minari id or folder, a D4RL HDF5 file, or an .npz.")],
+    variant: Annotated[str, option("--variant VARIANT", "The variant that the data are of.")],
+    tier: Annotated[str, option("--tier -t TIER", "The tier to publish them as.")],
+    columns: options.Columns = None,
+    force: options.Force = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Publish external data as a tier of a variant.
 

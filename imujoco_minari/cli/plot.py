@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
+from imujoco_minari.cli import options
 from imujoco_minari.cli.app import app
-from imujoco_minari.cli.options import AsJson, Category, DatasetIds, Episodes, Jobs, Output, Robot, Seed
-from imujoco_minari.cli.printing import counted, out, print_json, progress, say
+from imujoco_minari.cli.options import option
+from imujoco_minari.cli.printing import counted, progress, report, say
 from imujoco_minari.cli.selection import counted_variants
 from imujoco_minari.errors import TransferError, VariantError
 
@@ -19,9 +18,9 @@ if TYPE_CHECKING:
 
 @app.command()
 def plot(
-    ids: DatasetIds,
-    output: Output = None,
-    as_json: AsJson = False,
+    ids: options.DatasetIds,
+    output: options.Output = None,
+    as_json: options.AsJson = False,
 ) -> None:
     """Plot datasets against the base robot's.
 
@@ -44,25 +43,22 @@ def plot(
         files = plot_datasets(drawn, folder, on_figure=advance)
     for name in missing:
         say(f"the base robot is not drawn: {name} is not in the Minari root")
-    if as_json:
-        print_json({"files": [str(file) for file in files], "missing": missing})
-        return
-    out.print(f"wrote {counted(len(files), 'file')} to {folder}: " + ", ".join(file.name for file in files))
+    line = f"wrote {counted(len(files), 'file')} to {folder}: {', '.join(file.name for file in files)}"
+    report({"files": files, "missing": missing}, line, as_json=as_json)
 
 
 @app.command()
 def transfer(
-    robot: Robot = None,
-    category: Category = None,
+    robot: options.Robot = None,
+    category: options.Category = None,
     policies: Annotated[
-        list[Path] | None,
-        typer.Option("--policy", metavar="FILE", help="A .zip or .safetensors; may be repeated."),
+        list[Path] | None, option("--policy FILE", "A .zip or .safetensors; may be repeated.")
     ] = None,
-    episodes: Episodes = 5,
-    seed: Seed = 0,
-    jobs: Jobs = 1,
-    output: Output = None,
-    as_json: AsJson = False,
+    episodes: options.Episodes = 5,
+    seed: options.Seed = 0,
+    jobs: options.Jobs = 1,
+    output: options.Output = None,
+    as_json: options.AsJson = False,
 ) -> None:
     """Evaluate every expert of a robot on every variant.
 
@@ -82,8 +78,9 @@ def transfer(
         raise VariantError("name the robot with --robot")
     variants = columns(robot, category)
     chosen = _read_policies(policies) if policies else expert_policies(robot, category)
-    # Report a missing matplotlib before the work, not after it.
-    new_figure(1.0, 1.0, "")
+    with new_figure(1.0, 1.0, ""):
+        # A missing matplotlib is reported before the work, not after it.
+        pass
     target = output or Path(f"transfer-{robot}")
     state = target / "transfer.json"
     with progress("evaluating", len(chosen) * len(variants), quiet=as_json) as advance:
@@ -92,21 +89,15 @@ def transfer(
         )
     write_csv(result, target / "transfer.csv")
     files = [target / "transfer.csv", *plot_transfer(result, target / "transfer")]
-    if as_json:
-        print_json(
-            {
-                "files": [str(file) for file in files],
-                "policies": result.policies,
-                "variants": [str(variant) for variant in result.variants],
-                "returns": result.returns(),
-            }
-        )
-        return
-    out.print(
-        f"{counted(len(result.policies), 'policy')} on {counted_variants(result.variants)}, "
-        f"{counted(episodes, 'episode')} each",
-        f"wrote {', '.join(str(file) for file in files)}",
-    )
+    document = {
+        "files": files,
+        "policies": result.policies,
+        "variants": result.variants,
+        "returns": result.returns(),
+    }
+    line = f"{counted(len(result.policies), 'policy')} on {counted_variants(result.variants)}, "
+    line += f"{counted(episodes, 'episode')} each"
+    report(document, line, f"wrote {', '.join(map(str, files))}", as_json=as_json)
 
 
 def _read_policies(paths: list[Path]) -> dict[str, Policy]:

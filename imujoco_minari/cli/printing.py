@@ -92,6 +92,14 @@ def _jsonable(value: Any) -> Any:
     return str(value).encode("utf-8", "backslashreplace").decode()
 
 
+def report(document: Any, *lines: str, as_json: bool) -> None:
+    """Print the result of a command: with ``--json`` as a document, otherwise as lines."""
+    if as_json:
+        print_json(document)
+    else:
+        out.print(*lines)
+
+
 def print_table(
     columns: Sequence[str], rows: Sequence[Sequence[str]], *, numeric: Sequence[str] = ()
 ) -> None:

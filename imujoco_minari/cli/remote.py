@@ -5,21 +5,11 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
+from imujoco_minari.cli import options
 from imujoco_minari.cli.app import advancing, app, gather
 from imujoco_minari.cli.estimates import size_text
-from imujoco_minari.cli.options import (
-    AsJson,
-    Category,
-    Everything,
-    Force,
-    MaybeDatasetIds,
-    Remote,
-    Robot,
-    Tiers,
-    Token,
-    WithBase,
-)
-from imujoco_minari.cli.selection import Filters, select_datasets
+from imujoco_minari.cli.options import spread
+from imujoco_minari.cli.selection import DatasetChoice
 from imujoco_minari.errors import RemoteError
 
 if TYPE_CHECKING:
@@ -27,17 +17,14 @@ if TYPE_CHECKING:
 
 
 @app.command("push")
+@spread
 def push_datasets(
-    ids: MaybeDatasetIds = None,
-    remote: Remote = None,
-    robot: Robot = None,
-    category: Category = None,
-    everything: Everything = False,
-    with_base: WithBase = False,
-    tiers: Tiers = None,
-    token: Token = None,
-    force: Force = False,
-    as_json: AsJson = False,
+    remote: options.Remote = None,
+    *,
+    choice: DatasetChoice,
+    token: options.Token = None,
+    force: options.Force = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Upload datasets to a remote.
 
@@ -50,7 +37,7 @@ def push_datasets(
     """
     from imujoco_minari.remotes import push_all
 
-    chosen = select_datasets(ids, Filters(robot, category, everything, with_base), tiers)
+    chosen = choice.datasets()
     address = _address(remote)
     outcomes = push_all(chosen, address, token=token, force=force)
     shown = advancing(outcomes, f"pushing to {address}", len(chosen), quiet=as_json)
@@ -58,17 +45,14 @@ def push_datasets(
 
 
 @app.command("pull")
+@spread
 def pull_datasets(
-    ids: MaybeDatasetIds = None,
-    remote: Remote = None,
-    robot: Robot = None,
-    category: Category = None,
-    everything: Everything = False,
-    with_base: WithBase = False,
-    tiers: Tiers = None,
-    token: Token = None,
-    force: Force = False,
-    as_json: AsJson = False,
+    remote: options.Remote = None,
+    *,
+    choice: DatasetChoice,
+    token: options.Token = None,
+    force: options.Force = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Download datasets from a remote.
 
@@ -81,7 +65,7 @@ def pull_datasets(
     """
     from imujoco_minari.remotes import pull_all
 
-    chosen = select_datasets(ids, Filters(robot, category, everything, with_base), tiers, published=False)
+    chosen = choice.datasets(published=False)
     address = _address(remote)
     outcomes = pull_all(chosen, address, token=token, force=force)
     shown = advancing(outcomes, f"pulling from {address}", len(chosen), quiet=as_json)
@@ -91,21 +75,17 @@ def pull_datasets(
 def _describe_push(pushed: Pushed) -> tuple[str, ...]:
     if not pushed.uploaded:
         return "left alone", f"{pushed.dataset_id}: {pushed.remote} has the same already"
-    return (
-        "pushed",
-        f"{pushed.dataset_id} to {pushed.remote}: {size_text(pushed.bytes)}, "
-        f"read back and equal, in {pushed.seconds:.1f} s",
-    )
+    checked = f"{size_text(pushed.bytes)}, read back and equal, in {pushed.seconds:.1f} s"
+    return "pushed", f"{pushed.dataset_id} to {pushed.remote}: {checked}"
 
 
 def _describe_pull(pulled: Pulled) -> tuple[str, ...]:
     if not pulled.downloaded:
         return "left alone", f"{pulled.dataset_id}: it is here already, at {pulled.path}"
-    other = (
-        [] if pulled.same_simulator else ["  made with another simulator: its replay will not be exact here"]
-    )
-    checked = f"{pulled.dataset_id}, checked, in {pulled.seconds:.1f} s"
-    return "pulled", checked, f"  at {pulled.path}", *other
+    lines = [f"{pulled.dataset_id}, checked, in {pulled.seconds:.1f} s", f"  at {pulled.path}"]
+    if not pulled.same_simulator:
+        lines.append("  made with another simulator: its replay will not be exact here")
+    return "pulled", *lines
 
 
 def _address(remote: str | None) -> str:

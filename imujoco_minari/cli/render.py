@@ -3,53 +3,36 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Any
 
-import typer
-
+from imujoco_minari.cli import options
 from imujoco_minari.cli.app import app
 from imujoco_minari.cli.estimates import size_text
-from imujoco_minari.cli.options import AsJson, Force, Output, PolicyFile
-from imujoco_minari.cli.printing import counted, out, print_json, progress, say
+from imujoco_minari.cli.options import argument, option
+from imujoco_minari.cli.printing import counted, progress, report, say
 from imujoco_minari.errors import RenderingError, StorageError
 from imujoco_minari.variants import EXPERT, Variant
-
-if TYPE_CHECKING:
-    from imujoco_minari.pictures.rendering import Motion
-
-Seconds = Annotated[
-    float | None,
-    typer.Option("--seconds", min=0.1, metavar="X", help="Show this much of the episode instead of all."),
-]
 
 
 @app.command()
 def render(
-    what: Annotated[str, typer.Argument(metavar="VARIANT|ID", help="A variant id, or a dataset id.")],
+    what: Annotated[str, argument("VARIANT|ID", "A variant id, or a dataset id.")],
     episode: Annotated[
-        int,
-        typer.Option(
-            "--episode", "-e", min=0, metavar="N", help="The episode of a dataset; the seed of a variant."
-        ),
+        int, option("--episode -e N", "The episode of a dataset; the seed of a variant.", min=0)
     ] = 0,
-    target: Output = None,
-    beside_base: Annotated[
-        bool, typer.Option("--beside-base", help="Show the base robot beside the variant.")
-    ] = False,
-    sheet: Annotated[bool, typer.Option("--sheet", help="Make a .png sheet of frames.")] = False,
+    target: options.Output = None,
+    beside_base: Annotated[bool, option("--beside-base", "Show the base robot beside the variant.")] = False,
+    sheet: Annotated[bool, option("--sheet", "Make a .png sheet of frames.")] = False,
     tier: Annotated[
-        str | None,
-        typer.Option(
-            "--tier", "-t", metavar="TIER", help="The policy that moves a variant. [default: expert]"
-        ),
+        str | None, option("--tier -t TIER", "The policy that moves a variant. [default: expert]")
     ] = None,
-    policy: PolicyFile = None,
-    seconds: Seconds = None,
-    size: Annotated[
-        str, typer.Option("--size", metavar="WxH", help="Width and height in pixels.")
-    ] = "640x480",
-    force: Force = False,
-    as_json: AsJson = False,
+    policy: options.PolicyFile = None,
+    seconds: Annotated[
+        float | None, option("--seconds X", "Show this much of the episode instead of all.", min=0.1)
+    ] = None,
+    size: Annotated[str, option("--size WxH", "Width and height in pixels.")] = "640x480",
+    force: options.Force = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Render a variant or a recorded episode.
 
@@ -90,16 +73,24 @@ def render(
     count = len(frame_steps(motions, target, sheet=sheet))
     with progress(str(target), count, quiet=as_json) as advance:
         render_motions(motions, target, (width, height), sheet=sheet, on_frame=advance)
-    if as_json:
-        print_json({"path": str(target), "frames": count, "motions": [_facts(motion) for motion in motions]})
-        return
-    for motion in motions:
-        facts = _facts(motion)
-        out.print(
-            f"{motion.variant}: {motion.title}, {facts['steps']} steps, {motion.duration:.1f} s, "
-            f"return {motion.total:.1f}"
-        )
-    out.print(f"wrote {target}: {counted(count, 'frame')}, {size_text(target.stat().st_size)}")
+    facts: list[dict[str, Any]] = [
+        {
+            "variant": str(motion.variant),
+            "moved_by": motion.title,
+            "steps": len(motion.rewards),
+            "seconds": motion.duration,
+            "return": motion.total,
+            "terminated": motion.terminated,
+            "divergence": motion.divergence,
+        }
+        for motion in motions
+    ]
+    lines = [
+        "{variant}: {moved_by}, {steps} steps, {seconds:.1f} s, return {return:.1f}".format(**motion)
+        for motion in facts
+    ]
+    lines.append(f"wrote {target}: {counted(count, 'frame')}, {size_text(target.stat().st_size)}")
+    report({"path": target, "frames": count, "motions": facts}, *lines, as_json=as_json)
 
 
 def _size(text: str) -> tuple[int, int]:
@@ -109,15 +100,3 @@ def _size(text: str) -> tuple[int, int]:
     if not (64 <= int(width) <= 4096 and 64 <= int(height) <= 4096):
         raise RenderingError(f"size {text} cannot be drawn; valid: 64 to 4096 pixels each way")
     return int(width), int(height)
-
-
-def _facts(motion: Motion) -> dict[str, object]:
-    return {
-        "variant": str(motion.variant),
-        "moved_by": motion.title,
-        "steps": len(motion.rewards),
-        "seconds": motion.duration,
-        "return": motion.total,
-        "terminated": motion.terminated,
-        "divergence": motion.divergence,
-    }

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import typer
 
+from imujoco_minari.cli import options
 from imujoco_minari.cli.benchmark import Folder, benchmark
-from imujoco_minari.cli.options import AsJson
 from imujoco_minari.cli.printing import out, print_json
 
 
 @benchmark.command()
-def check(folder: Folder, as_json: AsJson = False) -> None:
+def check(folder: Folder, as_json: options.AsJson = False) -> None:
     """Check whether the results of your method can stand beside the published ones.
 
     The lines must have every variant, seed and budget of each split that they name, be of the published data,

@@ -11,25 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from imujoco_minari.cli import options
 from imujoco_minari.cli.app import advancing, app, gather
 from imujoco_minari.cli.datasets import describe_published
 from imujoco_minari.cli.estimates import training_line
-from imujoco_minari.cli.options import (
-    AsJson,
-    Backend,
-    Category,
-    Everything,
-    Force,
-    Jobs,
-    Output,
-    Robot,
-    Seed,
-    VariantId,
-    VariantIds,
-    WithBase,
-)
+from imujoco_minari.cli.options import Output, argument, option
 from imujoco_minari.cli.printing import counted, out, print_json, print_table, say
-from imujoco_minari.cli.selection import Filters, select
+from imujoco_minari.cli.selection import Filters, VariantChoice
 from imujoco_minari.errors import ArgumentError
 from imujoco_minari.policies import expert_record, expert_variants, policies_folder
 from imujoco_minari.policies.rungs import mean_return, medium_rung
@@ -49,47 +37,30 @@ app.add_typer(policy, name="policy")
 
 @app.command("train")
 def train_variants(
-    variants: VariantIds = None,
-    robot: Robot = None,
-    category: Category = None,
-    everything: Everything = False,
-    with_base: WithBase = False,
+    variants: options.VariantIds = None,
+    robot: options.Robot = None,
+    category: options.Category = None,
+    everything: options.Everything = False,
+    with_base: options.WithBase = False,
     universal: Annotated[
-        bool,
-        typer.Option("--universal", help="Train the universal policy of the robot in --robot instead."),
+        bool, option("--universal", "Train the universal policy of the robot in --robot instead.")
     ] = False,
-    scratch: Annotated[
-        bool, typer.Option("--scratch", help="Do not start from the base robot's agent.")
-    ] = False,
-    max_steps: Annotated[
-        int | None, typer.Option("--max-steps", min=1, metavar="N", help="Environment steps at most.")
-    ] = None,
-    target: Annotated[float | None, typer.Option("--target", metavar="X", help="Return to stop at.")] = None,
+    scratch: Annotated[bool, option("--scratch", "Do not start from the base robot's agent.")] = False,
+    max_steps: Annotated[int | None, option("--max-steps N", "Environment steps at most.", min=1)] = None,
+    target: Annotated[float | None, option("--target X", "Return to stop at.")] = None,
     settings: Annotated[
         list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="NAME=VALUE",
-            help="A hyperparameter, as in batch_size=256; may be repeated.",
-        ),
+        option("--set NAME=VALUE", "A hyperparameter, as in batch_size=256; may be repeated."),
     ] = None,
-    seed: Seed = 0,
-    jobs: Jobs = 1,
-    backend: Backend = None,
-    nice: Annotated[
-        int, typer.Option("--nice", min=0, max=19, metavar="N", help="Lower the priority by this much.")
-    ] = 0,
+    seed: options.Seed = 0,
+    jobs: options.Jobs = 1,
+    backend: options.Backend = None,
+    nice: Annotated[int, option("--nice N", "Lower the priority by this much.", min=0, max=19)] = 0,
     device: Annotated[
         str | None,
-        typer.Option(
-            "--device",
-            metavar="NAME",
-            help="Where to compute updates: cpu or gpu; by default, the faster one.",
-        ),
+        option("--device NAME", "Where to compute updates: cpu or gpu; by default, the faster one."),
     ] = None,
-    state: Annotated[
-        Path | None, typer.Option("--state", metavar="FOLDER", help="Folder of unfinished runs.")
-    ] = None,
+    state: Annotated[Path | None, option("--state FOLDER", "Folder of unfinished runs.")] = None,
     output: Output = None,
     improve: Annotated[
         bool, typer.Option("--improve", help="Train finished policies further, and keep the better ones.")
@@ -101,7 +72,7 @@ def train_variants(
     record_replay: Annotated[
         bool, typer.Option("--record-replay", help="Publish the run's transitions as the tier replay.")
     ] = False,
-    as_json: AsJson = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Train an expert for each variant.
 
@@ -123,7 +94,7 @@ def train_variants(
 
     if universal and (robot is None or variants or category):
         raise ArgumentError("--universal trains one policy a robot: give --robot ROBOT and no variants")
-    chosen = select(variants, Filters(robot, category, everything, with_base))
+    chosen = VariantChoice(robot, category, everything, with_base, variants).variants()
     changes = hyperparameter_changes(settings or [])
     if max_steps is not None:
         changes["max_steps"] = max_steps
@@ -269,13 +240,13 @@ def _made(record: dict[str, Any]) -> str:
 
 @app.command()
 def policies(
-    robot: Robot = None,
-    category: Category = None,
-    with_base: WithBase = False,
+    robot: options.Robot = None,
+    category: options.Category = None,
+    with_base: options.WithBase = False,
     summary: Annotated[
-        bool, typer.Option("--summary", help="Print a line for each robot and category instead.")
+        bool, option("--summary", "Print a line for each robot and category instead.")
     ] = False,
-    as_json: AsJson = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """List the expert policies and their returns.
 
@@ -300,7 +271,7 @@ def policies(
             "medium and ranked: number of policies whose rungs have the returns that these tiers need",
         )
         return
-    if filters.given:
+    if filters or with_base:
         experts = set(expert_variants())
         chosen = [variant for variant in chosen if variant in experts]
     else:
@@ -317,9 +288,9 @@ def policies(
 
 @policy.command()
 def export(
-    variant: VariantId,
-    path: Annotated[Path, typer.Argument(metavar="FILE", help="The .zip to write.")],
-    force: Force = False,
+    variant: options.VariantId,
+    path: Annotated[Path, argument("FILE", "The .zip to write.")],
+    force: options.Force = False,
 ) -> None:
     """Write a variant's expert for Stable-Baselines3.
 

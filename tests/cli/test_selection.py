@@ -11,7 +11,7 @@ import pytest
 import imujoco_minari.cli  # noqa: F401
 from imujoco_minari import remotes
 from imujoco_minari.cli.app import run
-from imujoco_minari.cli.selection import Filters, counted_variants, select, select_datasets
+from imujoco_minari.cli.selection import DatasetChoice, Filters, VariantChoice, counted_variants
 from imujoco_minari.errors import DatasetNotFoundError, VariantError
 from imujoco_minari.pictures.gallery import builder
 from imujoco_minari.policies.experts import shipped_folder
@@ -33,8 +33,8 @@ def test_a_robot_is_its_variants_and_its_base_on_request(robot: str, count: int)
 
 
 def test_all_is_the_catalogue() -> None:
-    assert select(None, Filters(everything=True)) == list(catalogue())
-    chosen = select(None, Filters(everything=True, with_base=True))
+    assert VariantChoice(everything=True).variants() == list(catalogue())
+    chosen = VariantChoice(everything=True, with_base=True).variants()
     assert len(chosen) == 157
     # Each robot's base comes before its variants.
     assert [variant for variant in chosen if variant in bases()] == list(bases())
@@ -42,26 +42,27 @@ def test_all_is_the_catalogue() -> None:
 
 
 def test_names_are_taken_once_and_not_with_filters() -> None:
-    assert select([LEG, "hopper-base", LEG], Filters()) == [Variant.parse(LEG), Variant.parse("hopper-base")]
-    for filters in (Filters("hopper"), Filters(with_base=True)):
+    chosen = VariantChoice(names=[LEG, "hopper-base", LEG]).variants()
+    assert chosen == [Variant.parse(LEG), Variant.parse("hopper-base")]
+    for choice in (VariantChoice("hopper", names=[LEG]), VariantChoice(with_base=True, names=[LEG])):
         with pytest.raises(VariantError, match="not both"):
-            select([LEG], filters)
+            choice.variants()
     with pytest.raises(VariantError, match="name a variant, or choose some"):
-        select(None, Filters())
+        VariantChoice().variants()
     with pytest.raises(VariantError, match="not both"):
-        select_datasets(["a/b-v0"], Filters(), ["random"])
+        DatasetChoice(ids=["a/b-v0"], tiers=["random"]).datasets()
 
 
 def test_datasets_are_those_of_each_tier(root: Path) -> None:
-    ids = select_datasets(None, Filters("hopper", "mass"), ["expert", "random"], published=False)
+    ids = DatasetChoice("hopper", "mass", tiers=["expert", "random"]).datasets(published=False)
     assert ids == [f"imujoco/{name}{tier}-v0" for tier in ("", "-random") for name in MASS]
     with pytest.raises(
         DatasetNotFoundError,
         match="make them with `imujoco publish --robot hopper --category mass --tier random`",
     ):
-        select_datasets(None, Filters("hopper", "mass"), ["random"])
+        DatasetChoice("hopper", "mass", tiers=["random"]).datasets()
     (root / ids[0]).mkdir(parents=True)
-    assert select_datasets(None, Filters("hopper")) == [ids[0]]
+    assert DatasetChoice("hopper").datasets() == [ids[0]]
 
 
 @pytest.mark.parametrize(

@@ -20,9 +20,9 @@ from imujoco_minari.envs import gl
 from imujoco_minari.envs.differences import differences
 from imujoco_minari.errors import DependencyError, PolicyError, RenderingError, StorageError
 from imujoco_minari.pictures.gallery import build, clips, entries
-from imujoco_minari.pictures.gallery.clips import ClipMaker
 from imujoco_minari.pictures.gallery.pages import short, snippets, summary
 from imujoco_minari.pictures.rendering.scene import COLOURS
+from imujoco_minari.pictures.rendering.studio import Studio
 from imujoco_minari.policies import RandomPolicy
 from imujoco_minari.variants import Variant, catalogue
 
@@ -45,17 +45,17 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Stubs in the place of clips and portraits, for machines without OpenGL; names what was drawn."""
     names: list[str] = []
 
-    def write_clip(maker: ClipMaker, motion: Any, path: Path) -> None:
+    def write_clip(motion: Any, studio: Studio, path: Path) -> None:
         path.parent.mkdir(exist_ok=True, parents=True)
         path.write_bytes(b"clip")
         names.append(str(motion.variant))
 
-    def write_portrait(maker: ClipMaker, variant: Variant, path: Path) -> None:
+    def write_portrait(variant: Variant, studio: Studio, path: Path) -> None:
         path.parent.mkdir(exist_ok=True, parents=True)
         path.write_bytes(b"portrait")
 
-    monkeypatch.setattr(ClipMaker, "_write_clip", write_clip)
-    monkeypatch.setattr(ClipMaker, "_write_portrait", write_portrait)
+    monkeypatch.setattr(clips, "write_clip", write_clip)
+    monkeypatch.setattr(clips, "write_portrait", write_portrait)
     return names
 
 
@@ -310,7 +310,7 @@ def test_a_second_run_draws_nothing_and_needs_no_opengl(
 ) -> None:
     first = build(tmp_path / "site", [LEG])
     pages = {path: path.read_bytes() for path in site(tmp_path / "site")}
-    monkeypatch.setattr(ClipMaker, "studio", property(lambda self: pytest.fail("drew")))
+    monkeypatch.setattr(Studio, "context", property(lambda self: pytest.fail("drew")))
     second = build(tmp_path / "site", [LEG])
     assert (first.drawn, second.drawn) == (2, 0)
     assert drawn == ["hopper-base", str(LEG)]
@@ -339,9 +339,9 @@ def test_what_has_changed_or_is_gone_is_drawn_again(
 ) -> None:
     folder = tmp_path / "site"
     build(folder, [LEG])
-    clips.clip_file(folder, LEG).unlink()
+    (folder / "clips" / f"{LEG}.mp4").unlink()
     assert build(folder, [LEG]).drawn == 1
-    clips.portrait_file(folder, LEG.base).unlink()
+    (folder / "portraits" / f"{LEG.base}.webp").unlink()
     assert build(folder, [LEG]).drawn == 1
     monkeypatch.setattr(clips, "STYLE", 0)
     assert build(folder, [LEG]).drawn == 2
@@ -413,10 +413,10 @@ def test_the_first_page_names_the_robots_and_the_colours_that_it_shows(
 def test_without_opengl_nothing_is_half_made(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def no_studio(self: ClipMaker) -> Any:
+    def no_context(self: Studio) -> Any:
         raise RenderingError("no OpenGL for off-screen rendering")
 
-    monkeypatch.setattr(ClipMaker, "studio", property(no_studio))
+    monkeypatch.setattr(Studio, "context", property(no_context))
     assert run(["gallery", str(tmp_path / "site"), str(LEG)]) == 1
     assert "no OpenGL" in capsys.readouterr().err
     assert not (tmp_path / "site" / "index.html").exists()
@@ -484,10 +484,10 @@ def test_clips_and_portraits_are_drawn_and_small(tmp_path: Path, monkeypatch: py
         pytest.skip(str(error))
     folder = tmp_path / "site"
     assert build(folder, [LEG]).drawn == 2
-    clip = clips.clip_file(folder, LEG)
+    clip = folder / "clips" / f"{LEG}.mp4"
     frames, seconds = imageio_ffmpeg.count_frames_and_secs(str(clip))
     assert frames >= 20
     # The episode ends within a moment, and its end stands for a second.
     assert 1.0 < seconds < 3.0
     assert clip.stat().st_size < 100_000
-    assert 500 < clips.portrait_file(folder, LEG).stat().st_size < 20_000
+    assert 500 < (folder / "portraits" / f"{LEG}.webp").stat().st_size < 20_000

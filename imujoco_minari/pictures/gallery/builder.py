@@ -13,17 +13,18 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from imujoco_minari.envs.differences import differences
 from imujoco_minari.errors import ImujocoError, RenderingError, StorageError
-from imujoco_minari.pictures.gallery.clips import ClipMaker
-from imujoco_minari.pictures.gallery.entries import Entry, ResultTable, changes, scores
+from imujoco_minari.pictures.gallery import clips
+from imujoco_minari.pictures.gallery.entries import Entry, ResultTable, scores
 from imujoco_minari.pictures.gallery.pages import index_page, variant_page
 from imujoco_minari.pictures.rendering.files import check_format
+from imujoco_minari.pictures.rendering.studio import Studio
 from imujoco_minari.storage.files import write_text
 from imujoco_minari.variants import Variant, catalogue, known_robots
 
 STATE = "gallery.json"
 FORMAT = 2
-ASSETS = ("style.css", "gallery.js")
 
 
 @dataclass(frozen=True)
@@ -67,12 +68,12 @@ def build(
     state = _read_state(folder)
     order = _sort_by_catalogue(_site_variants(variants, state))
     entries, failed, drawn = [], {}, 0
-    with ClipMaker(folder) as maker:
+    with Studio(*clips.SIZE, fine=False) as studio:
         for variant in order:
             known = state["variants"].setdefault(str(variant), {})
             try:
-                clip, key, new = maker.draw(variant, known)
-                entry = Entry(variant, changes(variant), scores(variant), clip)
+                clip, key, new = clips.draw(variant, folder, studio, known)
+                entry = Entry(variant, tuple(differences(variant)), scores(variant), clip)
             except (RenderingError, StorageError):
                 # These errors would stop every variant.
                 raise
@@ -98,20 +99,15 @@ def steps(folder: Path, variants: Sequence[Variant]) -> int:
 def _write_pages(
     folder: Path, entries: Sequence[Entry], results: Mapping[str, Sequence[ResultTable]]
 ) -> None:
-    by_robot = {entry.variant.robot: entry for entry in entries if entry.variant == entry.variant.base}
-    for number, entry in enumerate(entries):
-        neighbours = (
-            entries[number - 1].variant if number else None,
-            entries[number + 1].variant if number + 1 < len(entries) else None,
-        )
-        tables = results.get(str(entry.variant), ())
-        text = variant_page(entry, by_robot.get(entry.variant.robot), neighbours, tables)
-        write_text(folder / "variants" / f"{entry.variant}.html", text)
-    for name in ASSETS:
-        write_text(
-            folder / name,
-            (resources.files("imujoco_minari.pictures.gallery") / "site" / name).read_text("utf-8"),
-        )
+    by_variant = {entry.variant: entry for entry in entries}
+    order = [None, *by_variant, None]
+    for entry, neighbours in zip(entries, zip(order[:-2], order[2:], strict=True), strict=True):
+        name = str(entry.variant)
+        text = variant_page(entry, by_variant.get(entry.variant.base), neighbours, results.get(name, ()))
+        write_text(folder / "variants" / f"{name}.html", text)
+    for name in ("style.css", "gallery.js"):
+        asset = resources.files("imujoco_minari.pictures.gallery") / "site" / name
+        write_text(folder / name, asset.read_text("utf-8"))
     # The index is written last, because it links to all other pages.
     write_text(folder / "index.html", index_page(entries))
 

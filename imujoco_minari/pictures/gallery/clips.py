@@ -36,77 +36,50 @@ REST_SECONDS = 1.0
 STYLE = 2
 
 
-class ClipMaker:
-    """Draws clips and portraits into the folder of a site. It is a context manager.
+def draw(variant: Variant, folder: Path, studio: Studio, known: Mapping[str, Any]) -> tuple[Clip, str, bool]:
+    """Draw a variant's clip and portrait into a site, unless an earlier run has drawn the same.
 
     Args:
+        variant: the variant.
         folder: the site's folder.
+        studio: the renderer.
+        known: ``key`` and ``clip`` of an earlier run, or empty.
+
+    Returns:
+        The content of the clip, its key, and whether it was drawn now.
+
+    Raises:
+        RenderingError: if no OpenGL works.
+        StorageError: if a file cannot be written.
+        PolicyError: if the variant's policy cannot be read.
     """
+    policy, tier = choose_policy(variant)
+    key = clip_key(variant, policy)
+    clip, portrait = folder / "clips" / f"{variant}.mp4", folder / "portraits" / f"{variant}.webp"
+    if known.get("key") == key and clip.is_file() and portrait.is_file():
+        return Clip(**known["clip"]), key, False
+    motion = perform(variant, policy, seconds=SECONDS)
+    write_clip(motion, studio, clip)
+    write_portrait(variant, studio, portrait)
+    return Clip(tier, motion.duration, motion.total, motion.terminated), key, True
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._studio: Studio | None = None
 
-    def __enter__(self) -> ClipMaker:
-        return self
+def write_clip(motion: Motion, studio: Studio, path: Path) -> None:
+    """Write a motion as a video."""
+    every = stride([motion], FRAMES_PER_SECOND)
+    rest = round(REST_SECONDS / motion.timestep) if motion.terminated else 0
+    steps = range(0, len(motion.rewards) + rest + 1, every)
+    pictures = frames([motion], studio, steps, captions=False)
+    write_video(path, pictures, 1.0 / (every * motion.timestep), quality=QUALITY)
 
-    def __exit__(self, *raised: object) -> None:
-        if self._studio is not None:
-            self._studio.close()
 
-    def draw(self, variant: Variant, known: Mapping[str, Any]) -> tuple[Clip, str, bool]:
-        """Draw a variant's clip and portrait, unless an earlier run has drawn the same.
-
-        Args:
-            variant: the variant.
-            known: ``key`` and ``clip`` of an earlier run, or empty.
-
-        Returns:
-            The content of the clip, its key, and whether it was drawn now.
-
-        Raises:
-            RenderingError: if no OpenGL works.
-            StorageError: if a file cannot be written.
-            PolicyError: if the variant's policy cannot be read.
-        """
-        policy, tier = choose_policy(variant)
-        key = clip_key(variant, policy)
-        clip_path, portrait_path = clip_file(self._folder, variant), portrait_file(self._folder, variant)
-        if known.get("key") == key and clip_path.is_file() and portrait_path.is_file():
-            return Clip(**known["clip"]), key, False
-        motion = perform(variant, policy, seconds=SECONDS)
-        self._write_clip(motion, clip_path)
-        self._write_portrait(variant, portrait_path)
-        return Clip(tier, motion.duration, motion.total, motion.terminated), key, True
-
-    @property
-    def studio(self) -> Studio:
-        """The renderer. It is made at the first use."""
-        if self._studio is None:
-            self._studio = Studio(*SIZE, fine=False)
-        return self._studio
-
-    def _write_clip(self, motion: Motion, path: Path) -> None:
-        every = stride([motion], FRAMES_PER_SECOND)
-        last = len(motion.rewards)
-        rest = round(REST_SECONDS / motion.timestep) if motion.terminated else 0
-        steps = range(0, last + rest + 1, every)
-        write_video(
-            path,
-            frames([motion], self.studio, steps, captions=False),
-            1.0 / (every * motion.timestep),
-            quality=QUALITY,
-        )
-
-    def _write_portrait(self, variant: Variant, path: Path) -> None:
-        # The variants of other lengths are framed too, so all portraits of a robot have the same distance.
-        seen = [
-            _stance_capsules(variant),
-            *(_stance_capsules(each) for each in catalogue(variant.robot, "length")),
-        ]
-        camera = follow(seen, self.studio.aspect, 1.0)[0]
-        shot = next(self.studio.shoot(variant, [stance(variant)], camera))
-        write_picture(path, Image.fromarray(np.ascontiguousarray(shot)))
+def write_portrait(variant: Variant, studio: Studio, path: Path) -> None:
+    """Write a picture of a variant in its stance."""
+    # The variants of other lengths are framed too, so all portraits of a robot have the same distance.
+    seen = [_stance_capsules(each) for each in (variant, *catalogue(variant.robot, "length"))]
+    camera = follow(seen, studio.aspect, 1.0)[0]
+    shot = next(studio.shoot(variant, [stance(variant)], camera))
+    write_picture(path, Image.fromarray(np.ascontiguousarray(shot)))
 
 
 @cache
@@ -125,24 +98,6 @@ def choose_policy(variant: Variant) -> tuple[Policy, str]:
 
 def clip_key(variant: Variant, policy: Policy) -> str:
     """Return the digest of everything that decides a variant's pictures."""
-    parts = (
-        STYLE,
-        SIZE,
-        SECONDS,
-        FRAMES_PER_SECOND,
-        QUALITY,
-        REST_SECONDS,
-        mjcf_sha256(canonical_mjcf(variant)),
-        policy.sha256,
-    )
+    settings = (STYLE, SIZE, SECONDS, FRAMES_PER_SECOND, QUALITY, REST_SECONDS)
+    parts = (*settings, mjcf_sha256(canonical_mjcf(variant)), policy.sha256)
     return hashlib.sha256(repr(parts).encode()).hexdigest()
-
-
-def clip_file(folder: Path, variant: Variant) -> Path:
-    """Return the path of a variant's clip in the site."""
-    return folder / "clips" / f"{variant}.mp4"
-
-
-def portrait_file(folder: Path, variant: Variant) -> Path:
-    """Return the path of a variant's portrait in the site."""
-    return folder / "portraits" / f"{variant}.webp"

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from imujoco_minari.envs.differences import Difference, differences
+from imujoco_minari.envs.differences import Difference
 from imujoco_minari.errors import VariantError
 from imujoco_minari.policies import expert_record, random_policy
 from imujoco_minari.policies.evaluation import evaluate
@@ -17,7 +17,7 @@ from imujoco_minari.policies.tiers import RANDOM
 from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.storage.metadata import read_metadata
 from imujoco_minari.storage.reader import EpisodeFile
-from imujoco_minari.variants import BASE, EXPERT, NAMESPACE, Variant, parse_dataset_id
+from imujoco_minari.variants import EXPERT, NAMESPACE, Variant, parse_dataset_id
 
 # Caption, columns and rows of a table of results.
 ResultTable = tuple[str, Sequence[str], Sequence[Sequence[str]]]
@@ -97,11 +97,6 @@ def normalised(score: Score, base: Entry | None) -> float | None:
     return (score.return_mean - random.return_mean) / (expert.return_mean - random.return_mean)
 
 
-def changes(variant: Variant) -> tuple[Difference, ...]:
-    """Return the quantities that a variant changes; empty for a base robot."""
-    return () if variant.category == BASE else tuple(differences(variant))
-
-
 def scores(variant: Variant) -> tuple[Score, ...]:
     """Return the scores of a variant's tiers, highest first.
 
@@ -116,14 +111,9 @@ def scores(variant: Variant) -> tuple[Score, ...]:
     if "random" in record:
         found[RANDOM] = _score_from_evaluation(RANDOM, "uniform actions", record["random"])
     elif RANDOM not in found:
-        found[RANDOM] = measured_random(variant)
+        outcome = evaluate(variant, random_policy(variant.robot), episodes=RANDOM_EPISODES).asdict()
+        found[RANDOM] = _score_from_evaluation(RANDOM, "uniform actions", outcome, "measured for this page")
     return tuple(sorted(found.values(), key=lambda score: -score.return_mean))
-
-
-def measured_random(variant: Variant) -> Score:
-    """Roll the random policy out and return its score."""
-    outcome = evaluate(variant, random_policy(variant.robot), episodes=RANDOM_EPISODES)
-    return _score_from_evaluation(RANDOM, "uniform actions", outcome.asdict(), "measured for this page")
 
 
 def published_scores(variant: Variant) -> Iterator[Score]:

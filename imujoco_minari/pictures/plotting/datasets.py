@@ -15,15 +15,8 @@ import numpy as np
 
 from imujoco_minari.errors import DatasetError
 from imujoco_minari.loading import Arrays, arrays
-from imujoco_minari.pictures.plotting.quantities import Quantity, action_quantities, observation_quantities
-from imujoco_minari.pictures.plotting.style import (
-    BASE_EDGE,
-    BASE_FILL,
-    line_style,
-    new_figure,
-    save,
-    settings,
-)
+from imujoco_minari.pictures.plotting.quantities import action_labels, observation_labels
+from imujoco_minari.pictures.plotting.style import BASE_EDGE, BASE_FILL, line_style, new_figure, save
 from imujoco_minari.policies import Array
 from imujoco_minari.storage import minari_root
 from imujoco_minari.variants import BASE, Variant
@@ -40,21 +33,25 @@ COLUMNS = 4
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """One dataset to draw.
-
-    Attributes:
-        dataset_id: id of the dataset.
-        robot: name of the robot.
-        tiers: tiers of its episodes.
-        is_base: whether all episodes are of the unchanged robot.
-        data: arrays of the dataset.
-    """
+    """One dataset to draw, of one robot."""
 
     dataset_id: str
-    robot: str
-    tiers: tuple[str, ...]
-    is_base: bool
     data: Arrays
+
+    @property
+    def robot(self) -> str:
+        """The name of the robot."""
+        return self.data.table[0].robot
+
+    @property
+    def tiers(self) -> list[str]:
+        """The tiers of the episodes."""
+        return sorted({origin.tier for origin in self.data.table})
+
+    @property
+    def is_base(self) -> bool:
+        """Whether all episodes are of the unchanged robot."""
+        return all(origin.category == BASE for origin in self.data.table)
 
 
 def load_series(dataset_id: str) -> Series:
@@ -71,13 +68,7 @@ def load_series(dataset_id: str) -> Series:
     for name in ("observations", "actions", "rewards"):
         if not np.isfinite(getattr(data, name)).all():
             raise DatasetError(f"{dataset_id} cannot be drawn: its {name} hold NaN or infinity")
-    return Series(
-        dataset_id,
-        robots[0],
-        tuple(sorted({origin.tier for origin in data.table})),
-        all(origin.category == BASE for origin in data.table),
-        data,
-    )
+    return Series(dataset_id, data)
 
 
 def with_bases(series: Sequence[Series]) -> tuple[list[Series], list[str]]:
@@ -95,9 +86,8 @@ def with_bases(series: Sequence[Series]) -> tuple[list[Series], list[str]]:
 def labels(series: Sequence[Series]) -> list[str]:
     """Return the names of datasets, or the whole ids of those that have the same name."""
     names = [_name(one.dataset_id) for one in series]
-    return [
-        name if names.count(name) == 1 else one.dataset_id for name, one in zip(names, series, strict=True)
-    ]
+    labelled = zip(names, series, strict=True)
+    return [name if names.count(name) == 1 else one.dataset_id for name, one in labelled]
 
 
 def _name(dataset_id: str) -> str:
@@ -130,31 +120,28 @@ def plot_datasets(
 
 def draw_returns(series: Sequence[Series]) -> Figure:
     """Draw the return of each episode as a dot."""
-    values = [one.data.returns for one in series]
-    return _draw_rows(
-        series, values, "What do the episodes score?", "undiscounted return of an episode (reward)"
-    )
+    unit = "undiscounted return of an episode (reward)"
+    return _draw_rows(series, [one.data.returns for one in series], "What do the episodes score?", unit)
 
 
 def draw_lengths(series: Sequence[Series]) -> Figure:
     """Draw the length of each episode as a dot."""
-    values = [one.data.episode_lengths for one in series]
-    return _draw_rows(series, values, "How long are the episodes?", "length of an episode (steps)")
+    unit = "length of an episode (steps)"
+    return _draw_rows(
+        series, [one.data.episode_lengths for one in series], "How long are the episodes?", unit
+    )
 
 
 def draw_actions(series: Sequence[Series]) -> Figure:
     """Draw the distribution of each action over all steps."""
-    columns = [one.data.actions for one in series]
-    return _draw_distributions(
-        series, columns, action_quantities(series[0].robot), "How do the policies act?"
-    )
+    names, title = action_labels(series[0].robot), "How do the policies act?"
+    return _draw_distributions(series, [one.data.actions for one in series], names, title)
 
 
 def draw_observations(series: Sequence[Series]) -> Figure:
     """Draw the distribution of each observation over all steps."""
-    columns = [one.data.observations for one in series]
-    title = "Which states do the robots visit?"
-    return _draw_distributions(series, columns, observation_quantities(series[0].robot), title)
+    names, title = observation_labels(series[0].robot), "Which states do the robots visit?"
+    return _draw_distributions(series, [one.data.observations for one in series], names, title)
 
 
 # The name of each figure's files, and the function that draws it.
@@ -174,8 +161,7 @@ def _line_styles(series: Sequence[Series]) -> list[dict[str, Any]]:
 
 def _draw_rows(series: Sequence[Series], values: Sequence[Array], title: str, unit: str) -> Figure:
     """Draw one row of dots per dataset, with its median and its quartiles."""
-    figure = new_figure(8.0, 1.3 + 0.36 * len(series), title)
-    with settings():
+    with new_figure(8.0, 1.3 + 0.36 * len(series), title) as figure:
         axes = figure.subplots()
         rng = np.random.default_rng(0)
         for row, (numbers, style) in enumerate(zip(values, _line_styles(series), strict=True)):
@@ -196,24 +182,21 @@ def _draw_rows(series: Sequence[Series], values: Sequence[Array], title: str, un
 
 
 def _draw_distributions(
-    series: Sequence[Series], columns: Sequence[Array], quantities: Sequence[Quantity], title: str
+    series: Sequence[Series], values: Sequence[Array], columns: Sequence[str], title: str
 ) -> Figure:
     """Draw one panel per column, with one line per dataset over the base robot's grey area."""
-    across = min(COLUMNS, len(quantities))
-    down = -(-len(quantities) // across)
-    key = 0.25 * -(-len(series) // 2)
-    figure = new_figure(2.6 * across, 0.8 + 1.75 * down + key, title)
-    with settings():
-        grid = figure.subplots(down, across, squeeze=False)
-        for place, axes in enumerate(grid.flat):
-            if place < len(quantities):
-                _draw_distribution(axes, series, [column[:, place] for column in columns])
-                axes.set_xlabel(str(quantities[place]))
-                axes.set_ylabel("share of steps (%)" if place % across == 0 else "")
-            else:
-                axes.set_visible(False)
-        handles, names = grid.flat[0].get_legend_handles_labels()
-        figure.legend(handles, names, loc="outside lower left", ncols=2)
+    across = min(COLUMNS, len(columns))
+    down = -(-len(columns) // across)
+    legend = 0.25 * -(-len(series) // 2)
+    with new_figure(2.6 * across, 0.8 + 1.75 * down + legend, title) as figure:
+        panels = figure.subplots(down, across, squeeze=False).flat
+        for place, label in enumerate(columns):
+            _draw_distribution(panels[place], series, [each[:, place] for each in values])
+            panels[place].set_xlabel(label)
+            panels[place].set_ylabel("share of steps (%)" if place % across == 0 else "")
+        for empty in panels[len(columns) :]:
+            empty.set_visible(False)
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower left", ncols=2)
     return figure
 
 

@@ -8,14 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from imujoco_minari.pictures.plotting.style import (
-    BASE_EDGE,
-    BASE_FILL,
-    line_style,
-    new_figure,
-    save,
-    settings,
-)
+from imujoco_minari.pictures.plotting.style import BASE_EDGE, BASE_FILL, line_style, new_figure, save
 from imujoco_minari.policies import Array
 
 if TYPE_CHECKING:
@@ -59,9 +52,8 @@ def plot_scores(
     title, x_label, y_label = labels
     draw = _draw_curve if x_label else _draw_bars
     names = list(ticks) if x_label else [tick.replace("-", "-\n", 1) for tick in ticks]
-    figure = new_figure(SIDE + WIDTH * max(len(panels), 1.4), HEIGHT, title)
     methods = list(dict.fromkeys(method for scores in panels.values() for method in scores))
-    with settings():
+    with new_figure(SIDE + WIDTH * max(len(panels), 1.4), HEIGHT, title) as figure:
         row = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
         for axes, (name, scores) in zip(row, panels.items(), strict=True):
             for method, intervals in scores.items():
@@ -73,12 +65,10 @@ def plot_scores(
             axes.set_xticks(range(len(ticks)), names)
             axes.set_xlabel(x_label)
         row[0].set_ylabel(y_label)
-        handles = {
-            label: line for axes in row for line, label in zip(*axes.get_legend_handles_labels(), strict=True)
-        }
-        figure.legend(
-            [handles[method] for method in methods], methods, loc="outside right center", handlelength=3.0
-        )
+        entries = [zip(*axes.get_legend_handles_labels(), strict=True) for axes in row]
+        handles = {label: line for own in entries for line, label in own}
+        lines = [handles[method] for method in methods]
+        figure.legend(lines, methods, loc="outside right center", handlelength=3.0)
     return save(figure, stem)
 
 

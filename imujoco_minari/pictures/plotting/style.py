@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +18,6 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
 # Lines differ in their dashes too, so colour is never the only difference.
 DASHES = ("-", "--", ":", "-.")
 BASE_FILL, BASE_EDGE = "#c3c9d0", "#69727c"
-FORMATS = (".png", ".svg")
 
 _SETTINGS: Any = {
     "font.size": 9.0,
@@ -32,8 +33,9 @@ _SETTINGS: Any = {
 }
 
 
-def new_figure(width: float, height: float, title: str) -> Figure:
-    """Return an empty figure with a title.
+@contextmanager
+def new_figure(width: float, height: float, title: str) -> Iterator[Figure]:
+    """Yield an empty figure with a title. What is drawn in the context has the style of all figures.
 
     Args:
         width: width in inches.
@@ -51,14 +53,7 @@ def new_figure(width: float, height: float, title: str) -> Figure:
     with rc_context(_SETTINGS):
         figure = Figure(figsize=(width, height), layout="constrained")
         figure.suptitle(title, x=0.01, ha="left")
-        return figure
-
-
-def settings() -> Any:
-    """Return a context in which new axes have the style of the figures."""
-    from matplotlib import rc_context
-
-    return rc_context(_SETTINGS)
+        yield figure
 
 
 def save(figure: Figure, stem: Path) -> list[Path]:
@@ -67,19 +62,15 @@ def save(figure: Figure, stem: Path) -> list[Path]:
     Raises:
         StorageError: if a file cannot be written.
     """
-    written = []
-    for ending in FORMATS:
-        path = stem.with_name(stem.name + ending)
-        metadata = {"Date": None} if ending == ".svg" else {"Software": None}
-        with settings(), whole_file(path) as partial:
-            figure.savefig(partial, metadata=metadata)
-        written.append(path)
-    return written
+    from matplotlib import rc_context
+
+    paths = [stem.with_name(stem.name + ending) for ending in (".png", ".svg")]
+    for path in paths:
+        with rc_context(_SETTINGS), whole_file(path) as partial:
+            figure.savefig(partial, metadata={"Date": None} if path.suffix == ".svg" else {"Software": None})
+    return paths
 
 
 def line_style(number: int) -> dict[str, Any]:
     """Return the colour and the dashes of line ``number``, counted from 0."""
-    return {
-        "color": COLOURS[number % len(COLOURS)],
-        "linestyle": DASHES[number % len(DASHES)],
-    }
+    return {"color": COLOURS[number % len(COLOURS)], "linestyle": DASHES[number % len(DASHES)]}

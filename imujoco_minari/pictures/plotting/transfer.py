@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from imujoco_minari.errors import VariantError
-from imujoco_minari.pictures.plotting.style import new_figure, save, settings
+from imujoco_minari.pictures.plotting.style import new_figure, save
 from imujoco_minari.policies.transfer import Transfer
 from imujoco_minari.variants import Variant
 
@@ -38,26 +38,21 @@ def draw_transfer(transfer: Transfer) -> Figure:
     returns = np.array(transfer.returns())
     numbered = max(returns.shape) <= NUMBERED
     cell = 2 * CELL if numbered else CELL
-    figure = new_figure(
-        SIDE + cell * returns.shape[1],
-        BELOW + cell * returns.shape[0],
-        f"How do the policies of {transfer.variants[0].robot} score on other variants?",
-    )
-    with settings():
+    width, height = SIDE + cell * returns.shape[1], BELOW + cell * returns.shape[0]
+    title = f"How do the policies of {transfer.variants[0].robot} score on other variants?"
+    with new_figure(width, height, title) as figure:
         axes = figure.subplots()
         # Viridis is readable for colour-blind people and in grey.
         image = axes.imshow(returns, cmap="viridis", aspect="auto", interpolation="nearest")
         bar = figure.colorbar(image, ax=axes, pad=0.01, fraction=0.05, aspect=30)
         bar.set_label("mean undiscounted return (reward)")
-        axes.set_xticks(
-            range(len(transfer.variants)), [_column_label(v) for v in transfer.variants], rotation=90
-        )
+        columns = [_column_label(variant) for variant in transfer.variants]
+        axes.set_xticks(range(len(columns)), columns, rotation=90)
         axes.set_yticks(range(len(transfer.policies)), [_row_label(name) for name in transfer.policies])
         axes.set_xlabel("evaluated on the variant; circle: the policy's own")
         axes.set_ylabel("policy trained on")
         axes.tick_params(length=0)
-        for spine in axes.spines.values():
-            spine.set_visible(False)
+        axes.spines[:].set_visible(False)
         _separate_categories(axes, transfer)
         _mark_own_variants(axes, transfer)
         if numbered:
@@ -82,14 +77,10 @@ def _separate_categories(axes: Axes, transfer: Transfer) -> None:
 
 def _mark_own_variants(axes: Axes, transfer: Transfer) -> None:
     """Mark the cell of each policy on the variant that it was trained on."""
-    places = [
-        (column, row)
-        for row, policy in enumerate(transfer.policies)
-        for column, variant in enumerate(transfer.variants)
-        if policy == str(variant)
-    ]
-    if places:
-        x, y = zip(*places, strict=True)
+    names = list(map(str, transfer.variants))
+    own = [(names.index(policy), row) for row, policy in enumerate(transfer.policies) if policy in names]
+    if own:
+        x, y = zip(*own, strict=True)
         axes.plot(x, y, "o", color="white", markeredgecolor="black", markersize=3.5, markeredgewidth=0.6)
 
 

@@ -32,20 +32,11 @@ def check_format(path: Path) -> str:
     return ending
 
 
-def write_video(
-    path: Path,
-    pictures: Iterable[Image.Image],
-    per_second: float,
-    *,
-    quality: int = 23,
-) -> None:
-    """Write pictures of one size as an ``.mp4`` (H.264) or a ``.gif``.
+def write_video(path: Path, pictures: Iterable[Image.Image], per_second: float, *, quality: int = 23) -> None:
+    """Write pictures of one size, at least one, as an ``.mp4`` (H.264) or a ``.gif``.
 
-    Args:
-        path: the file. Its folder is created if it does not exist.
-        pictures: at least one picture. For ``.mp4``, an odd width or height is cut by one pixel.
-        per_second: frames per second.
-        quality: constant rate factor of H.264. A lower value is a better picture and a larger file.
+    For ``.mp4``, an odd width or height is cut by one pixel, and ``quality`` is H.264's constant rate factor:
+    a lower value is a better picture and a larger file.
 
     Raises:
         StorageError: if the file cannot be written.

@@ -46,16 +46,10 @@ def frames(
     captions: bool = True,
     on_frame: Callable[[], None] | None = None,
 ) -> Iterator[Image.Image]:
-    """Yield a picture of all motions side by side for each step.
+    """Yield a picture of all motions side by side for each of the environment's steps, which ascend.
 
     A motion that ended before a step shows its last position, and its caption shows the time of the end.
-
-    Args:
-        motions: the motions.
-        studio: the renderer.
-        steps: numbers of the environment steps to draw, in ascending order.
-        captions: write a caption over each panel.
-        on_frame: called after each picture.
+    ``on_frame`` is called after each picture.
     """
     panels = [
         _draw_panel(motion, camera, studio, steps, captions)
@@ -80,13 +74,7 @@ def contact_sheet(pictures: Sequence[Image.Image]) -> Image.Image:
 
 
 def grid(pictures: Sequence[Image.Image], columns: int, gap: int = 2 * GAP) -> Image.Image:
-    """Return one picture with pictures of equal size in rows of ``columns``, on white.
-
-    Args:
-        pictures: the pictures.
-        columns: number of pictures in a row.
-        gap: pixels between two pictures.
-    """
+    """Return pictures of equal size in rows of ``columns``, with ``gap`` white pixels between two."""
     columns = min(columns, len(pictures))
     rows = -(-len(pictures) // columns)
     width, height = pictures[0].size
@@ -139,11 +127,7 @@ def _draw_panel(
 def captioned(picture: Image.Image, variant: Variant, title: str = "", state: str = "") -> Image.Image:
     """Return a picture with a caption above it.
 
-    Args:
-        picture: the picture.
-        variant: the variant. Its id and what it changes are on the left.
-        title: upper text on the right.
-        state: lower text on the right.
+    A variant's id and what it changes are on the left, ``title`` and below it ``state`` on the right.
     """
     strip, size = caption_height(picture.height), picture.height * TEXT
     whole = Image.new("RGB", (picture.width, picture.height + strip), PAPER)

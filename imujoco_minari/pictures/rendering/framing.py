@@ -66,24 +66,14 @@ class Camera:
 def axes() -> tuple[Floats, Floats, Floats]:
     """Return the camera's right, up and forward unit vectors in world coordinates."""
     azimuth, elevation = np.radians(AZIMUTH), np.radians(ELEVATION)
-    forward = np.array(
-        [
-            np.cos(elevation) * np.cos(azimuth),
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation),
-        ]
-    )
+    level = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    forward = np.cos(elevation) * level + [0.0, 0.0, np.sin(elevation)]
     right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
     return right, np.cross(right, forward), forward
 
 
 def capsules(model: mujoco.MjModel, positions: Floats) -> Capsules:
-    """Return the robot's capsules, and its spheres as capsules without length.
-
-    Args:
-        model: the robot.
-        positions: of shape (frames, nq).
-    """
+    """Return a robot's capsules, and its spheres as capsules without length, at positions (frames, nq)."""
     data = mujoco.MjData(model)
     chosen, radii, halves = round_geoms(model)
     ends, sideways = np.empty((len(positions), 2 * len(chosen), 3)), np.empty(len(positions))
@@ -100,21 +90,16 @@ def capsules(model: mujoco.MjModel, positions: Floats) -> Capsules:
 def follow(motions: Sequence[Capsules], aspect: float, frame_seconds: float) -> list[Camera]:
     """Return a camera for each motion. All have one distance and height, so sizes can be compared.
 
-    Args:
-        motions: capsules along each motion.
-        aspect: width of the picture over its height.
-        frame_seconds: seconds between two frames.
+    ``aspect`` is the width of the picture over its height, ``frame_seconds`` the time between two frames.
     """
     height = max(motion.top for motion in motions) / 2
-    lookats = []
+    window = round(SMOOTHING / frame_seconds)
+    lookats, distances = [], []
     for motion in motions:
-        window = round(SMOOTHING / frame_seconds)
         path, aside = _moving_average(motion.middle, window), _moving_average(motion.sideways, window)
         lookats.append(np.stack([path, aside, np.full_like(path, height)], axis=-1))
-    distance = max(
-        _fitting_distance(motion, lookat, aspect) for motion, lookat in zip(motions, lookats, strict=True)
-    )
-    return [Camera(lookat, distance) for lookat in lookats]
+        distances.append(_fitting_distance(motion, lookats[-1], aspect))
+    return [Camera(lookat, max(distances)) for lookat in lookats]
 
 
 def _fitting_distance(motion: Capsules, lookat: Floats, aspect: float) -> float:

@@ -80,12 +80,8 @@ def perform(
 ) -> Motion:
     """Roll a policy out in a variant and return the motion.
 
-    Args:
-        variant: the variant.
-        policy: chooses the actions.
-        seed: seed of the episode.
-        seconds: maximal length in simulated seconds; None for a complete episode.
-        title: title of the motion; empty for the policy's algorithm.
+    It lasts at most ``seconds`` simulated seconds; None means a complete episode. Without a ``title``, the
+    motion is named after the policy's algorithm.
     """
     rng = np.random.default_rng(seed)
     motion, _ = _simulate(variant, seed, lambda observation: policy.act(observation, rng))
@@ -93,11 +89,7 @@ def perform(
 
 
 def replay(dataset_id: str, episode: int = 0) -> Motion:
-    """Return the motion of a recorded episode of a dataset of this package.
-
-    Args:
-        dataset_id: id of a dataset or a collection of the Minari root.
-        episode: number of the episode.
+    """Return the motion of a recorded episode of a dataset or a collection of the Minari root.
 
     Raises:
         DatasetNotFoundError: if there is no such dataset or episode.
@@ -141,14 +133,8 @@ def _simulate(
             observations.append(observation)
             positions.append(np.array(robot.data.qpos))
             rewards.append(float(reward))
-        motion = Motion(
-            variant,
-            np.array(positions),
-            np.array(rewards),
-            float(robot.dt),
-            bool(terminated),
-            mjcf=robot.mjcf,
-        )
+        path, earned = np.array(positions), np.array(rewards)
+        motion = Motion(variant, path, earned, float(robot.dt), bool(terminated), mjcf=robot.mjcf)
     return motion, np.array(observations)
 
 

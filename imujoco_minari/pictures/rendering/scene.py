@@ -7,6 +7,7 @@ colours are Okabe and Ito's, which colour-blind people can tell apart.
 from __future__ import annotations
 
 import mujoco
+import numpy as np
 
 from imujoco_minari.envs.categories import BY_NAME
 from imujoco_minari.envs.mjcf import model_text
@@ -37,14 +38,10 @@ _AT_JOINTS = ("joint", "motor")
 def scene_model(
     variant: Variant, mjcf: str | None = None, *, width: int, height: int, fine: bool = True
 ) -> mujoco.MjModel:
-    """Return the model that is drawn for ``variant``.
+    """Return the model that is drawn for ``variant``, in pictures of at most ``width`` x ``height`` pixels.
 
-    Args:
-        variant: the variant.
-        mjcf: the text of its model, for a variant of the original archive.
-        width: width of the largest picture, in pixels.
-        height: height of the largest picture, in pixels.
-        fine: smooth edges and sharp shadows, at twice the time.
+    ``mjcf`` is the text of its model, for a variant of the original archive. ``fine`` means smooth edges and
+    sharp shadows, at twice the time.
 
     Raises:
         RenderingError: if the model has no floor, as a variant of the archive may.
@@ -86,7 +83,7 @@ def _mark_joint(joint: mujoco.MjsJoint, colour: Colour) -> None:
     body = joint.parent
     radius = body.geoms[0].size[0]
     for geom in body.geoms:
-        geom.rgba = [*_mix_colours(colour, NEAR, 0.55), 1.0]
+        geom.rgba = [*(0.55 * np.array(colour) + 0.45 * np.array(NEAR)), 1.0]
     ends = [*(joint.pos - 1.5 * radius * joint.axis), *(joint.pos + 1.5 * radius * joint.axis)]
     body.add_site(
         type=mujoco.mjtGeom.mjGEOM_CYLINDER,
@@ -143,9 +140,3 @@ def _replace_surroundings(spec: mujoco.MjSpec, floor: mujoco.MjsGeom, fine: bool
     visual.quality.shadowsize = 2048 if fine else 512
     visual.quality.offsamples = 8 if fine else 4
     visual.map.znear, visual.map.zfar = 0.02, 40.0
-
-
-def _mix_colours(first: Colour, second: Colour, share: float) -> Colour:
-    """Return the mixture of ``share`` of the first colour and 1 - ``share`` of the second."""
-    red, green, blue = (share * a + (1 - share) * b for a, b in zip(first, second, strict=True))
-    return red, green, blue

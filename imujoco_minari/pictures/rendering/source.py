@@ -20,16 +20,10 @@ def of_variant(
     beside_base: bool = False,
     seconds: float | None = None,
 ) -> list[Motion]:
-    """Return the motion of a variant under a policy.
+    """Return the motion of a variant under its policy of a tier, or under a policy file.
 
-    Args:
-        variant: the variant.
-        tier: tier of the policy.
-        policy: a policy file to use instead.
-        seed: seed of the episode.
-        beside_base: return the motion of the base robot first, under its own policy of the tier or under
-            the same policy file.
-        seconds: length of the motions; None for the complete episode.
+    With ``beside_base``, the motion of the base robot comes first, under its own policy of the tier or under
+    the same file. ``seconds`` is the length of the motions; None means the complete episode.
 
     Raises:
         PolicyNotFoundError: if there is no such policy.
@@ -47,12 +41,9 @@ def of_dataset(
 ) -> list[Motion]:
     """Return the motion of a recorded episode.
 
-    Args:
-        dataset_id: id of the dataset.
-        episode: number of the episode.
-        beside_base: return a motion of the base robot first: the episode of the same number in its
-            dataset of the same tier. If that dataset does not exist, its policy of the tier is used.
-        seconds: length of the motions; None for the complete episode.
+    With ``beside_base``, a motion of the base robot comes first: the episode of the same number in its
+    dataset of the same tier, or without such a dataset, its policy of the tier. ``seconds`` is the length of
+    the motions; None means the complete episode.
 
     Raises:
         DatasetNotFoundError: if there is no such dataset or episode.

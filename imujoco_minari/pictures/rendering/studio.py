@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
+from functools import cached_property
 from typing import Any
 
 import mujoco
@@ -21,29 +23,37 @@ Image = NDArray[np.uint8]
 class Studio:
     """Draws variants in pictures of one size. It is a context manager.
 
-    All variants share one OpenGL context and one set of textures.
+    All variants share one OpenGL context and one set of textures, which are made for the first picture.
 
     Args:
         width: width of a picture, in pixels.
         height: height of a picture, in pixels.
         fine: draw smooth edges and sharp shadows, which takes twice the time.
-
-    Raises:
-        RenderingError: if no OpenGL works.
     """
 
     def __init__(self, width: int, height: int, *, fine: bool = True) -> None:
         self.width, self.height, self._fine = width, height, fine
         self._models: dict[tuple[Variant, str], mujoco.MjModel] = {}
-        self._gl = new_context(width, height)
-        self._context = mujoco.MjrContext(self.model(bases()[0]), mujoco.mjtFontScale.mjFONTSCALE_100.value)
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
+        self._stack = ExitStack()
 
     def __enter__(self) -> Studio:
         return self
 
     def __exit__(self, *raised: object) -> None:
-        self.close()
+        self._stack.close()
+
+    @cached_property
+    def context(self) -> mujoco.MjrContext:
+        """The context to draw in.
+
+        Raises:
+            RenderingError: if no OpenGL works.
+        """
+        self._stack.callback(new_context(self.width, self.height).free)
+        context = mujoco.MjrContext(self.model(bases()[0]), mujoco.mjtFontScale.mjFONTSCALE_100.value)
+        self._stack.callback(context.free)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, context)
+        return context
 
     @property
     def aspect(self) -> float:
@@ -62,7 +72,12 @@ class Studio:
     def shoot(
         self, variant: Variant, positions: Iterable[Any], camera: Camera, mjcf: str | None = None
     ) -> Iterator[Image]:
-        """Yield a picture, of shape (height, width, 3), for each position and its place of the camera."""
+        """Yield a picture, of shape (height, width, 3), for each position and its place of the camera.
+
+        Raises:
+            RenderingError: if no OpenGL works.
+        """
+        context = self.context
         model = self.model(variant, mjcf)
         data, option, view = mujoco.MjData(model), mujoco.MjvOption(), mujoco.MjvCamera()
         scene = mujoco.MjvScene(model, maxgeom=100)
@@ -76,13 +91,8 @@ class Studio:
             mujoco.mj_camlight(model, data)
             view.lookat[:] = lookat
             mujoco.mjv_updateScene(model, data, option, None, view, everything, scene)
-            mujoco.mjr_render(rectangle, scene, self._context)
+            mujoco.mjr_render(rectangle, scene, context)
             image = np.empty((self.height, self.width, 3), np.uint8)
-            mujoco.mjr_readPixels(image, None, rectangle, self._context)
+            mujoco.mjr_readPixels(image, None, rectangle, context)
             # The first row of OpenGL is the lowest row of the picture.
             yield image[::-1]
-
-    def close(self) -> None:
-        """Free the OpenGL context."""
-        self._context.free()
-        self._gl.free()
