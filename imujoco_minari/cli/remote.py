@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 from imujoco_minari.cli.app import advancing, app, gather
 from imujoco_minari.cli.estimates import size_text
@@ -19,6 +21,7 @@ from imujoco_minari.cli.options import (
     Token,
     WithBase,
 )
+from imujoco_minari.cli.printing import counted, say
 from imujoco_minari.cli.selection import Filters, select_datasets
 from imujoco_minari.errors import RemoteError
 
@@ -35,8 +38,14 @@ def push_datasets(
     everything: Everything = False,
     with_base: WithBase = False,
     tiers: Tiers = None,
+    with_collections: Annotated[
+        bool, typer.Option("--with-collections", help="Add the collections that combine these datasets.")
+    ] = False,
     token: Token = None,
     force: Force = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print the datasets and their sizes, and do nothing.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Upload datasets to a remote.
@@ -46,11 +55,24 @@ def push_datasets(
     files. A dataset that the remote has already is left alone, so an interrupted push can be continued.
 
     Examples: `imujoco push imujoco/hopper-massdec_25_leggeom-v0 --remote hf://user`,
-    `imujoco push --robot hopper --remote gcp://bucket`
+    `imujoco push --robot hopper --remote gcp://bucket`,
+    `imujoco push --all --with-base --with-collections --dry-run`
     """
-    from imujoco_minari.remotes import push_all
+    from imujoco_minari.remotes import collections_of, plan_push, push_all
 
     chosen = select_datasets(ids, Filters(robot, category, everything, with_base), tiers)
+    if with_collections:
+        chosen += collections_of(chosen)
+    if dry_run:
+        planned = list(plan_push(chosen))
+        if not as_json:
+            say(f"{counted(len(planned), 'dataset')}: {size_text(sum(each.bytes for each in planned))}")
+        gather(
+            planned,
+            lambda each: ("would push", f"{each.dataset_id}: {size_text(each.bytes)}"),
+            as_json=as_json,
+        )
+        return
     address = _address(remote)
     outcomes = push_all(chosen, address, token=token, force=force)
     shown = advancing(outcomes, f"pushing to {address}", len(chosen), quiet=as_json)
