@@ -9,7 +9,6 @@ from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError, RemoteError
 from imujoco_minari.remotes.card import dataset_card, namespace_card
@@ -94,8 +93,8 @@ def push_all(
 
     Args:
         dataset_ids: the datasets.
-        remote: ``hf://user`` or ``gcp://bucket``.
-        token: a Hugging Face token, or the path of a service account's key file.
+        remote: as of :func:`push`.
+        token: as of :func:`push`.
         force: replace different datasets that have these ids on the remote.
 
     Raises:
@@ -106,11 +105,7 @@ def push_all(
 
 
 def plan_push(dataset_ids: Sequence[str]) -> Iterator[Pushed]:
-    """Yield what :func:`push_all` would upload to an empty remote, with the sizes. No remote is asked.
-
-    Args:
-        dataset_ids: the datasets.
-    """
+    """Yield what :func:`push_all` would upload to an empty remote, with the sizes. No remote is asked."""
     for outcome, _ in _each_part(dataset_ids, "", lambda part: Pushed(part, "", bytes=_size(part))):
         yield outcome
 
@@ -129,11 +124,7 @@ def collections_of(dataset_ids: Sequence[str]) -> list[str]:
 def _push_each(
     dataset_ids: Sequence[str], remote: str, token: str | None, force: bool
 ) -> Iterator[tuple[Pushed, ImujocoError | None]]:
-    """Push datasets with their sources, and then update the cards, also after failures.
-
-    Yields:
-        Each outcome, and the error of a failure.
-    """
+    """Push datasets with their sources, and then update the cards, also after failures."""
     store = connect(remote, token=token, writing=True)
     uploaded: list[str] = []
     replaceable = set(dataset_ids) if force else set[str]()
@@ -173,9 +164,7 @@ def _size(dataset_id: str) -> int:
 def _sources_and_itself(dataset_id: str, around: AbstractSet[str] = frozenset()) -> list[str]:
     """Return the sources of a dataset, which Minari downloads with it, and then the dataset.
 
-    Args:
-        dataset_id: the dataset.
-        around: ids of collections that contain it. They are left out, so a cycle ends.
+    The collections ``around`` it are left out, so a cycle ends.
     """
     # The check of the dataset follows and reports metadata that cannot be read.
     combined = sources(read_metadata(minari_root.dataset_folder(dataset_id) / "data"))
@@ -198,8 +187,9 @@ def _push_one(dataset_id: str, store: Store, remote: str, replaceable: AbstractS
         if theirs == ours and store.holds(dataset_id):
             return Pushed(dataset_id, remote, False, size, digest, time.monotonic() - start)
         if theirs is not None and theirs != ours and dataset_id not in replaceable:
+            made, content = theirs.get("code_permalink", "unknown"), str(theirs.get("content_sha256"))[:12]
             raise DatasetExistsError(
-                f"{remote} has another {dataset_id}, made with {_describe_content(theirs)}; "
+                f"{remote} has another {dataset_id}, made with {made} with content {content}; "
                 f"it was not replaced (`imujoco push {dataset_id} --force` replaces it)"
             )
         for namespace in namespaces(dataset_id):
@@ -208,12 +198,6 @@ def _push_one(dataset_id: str, store: Store, remote: str, replaceable: AbstractS
         store.upload_dataset(dataset_id, dataset_card(folder / "data", remote))
         _check_upload(store, dataset_id, folder, remote)
     return Pushed(dataset_id, remote, True, size, digest, time.monotonic() - start)
-
-
-def _describe_content(metadata: dict[str, Any]) -> str:
-    return (
-        f"{metadata.get('code_permalink', 'unknown')} with content {str(metadata.get('content_sha256'))[:12]}"
-    )
 
 
 def _check_upload(store: Store, dataset_id: str, folder: Path, remote: str) -> None:
@@ -234,9 +218,7 @@ def _update_cards(store: Store, remote: str, dataset_ids: Sequence[str]) -> None
         return
     for namespace in dict.fromkeys(namespaces(dataset_id)[0] for dataset_id in dataset_ids):
         with remote_errors(remote):
-            files = {
-                dataset_id: store.read(f"{dataset_id}/{METADATA_PATH}")
-                for dataset_id in sorted(store.list_datasets(prefix=f"{namespace}/"))
-            }
+            listed = sorted(store.list_datasets(prefix=f"{namespace}/"))
+            files = {name: store.read(f"{name}/{METADATA_PATH}") for name in listed}
             found = {name: parse_object(data, name) for name, data in files.items() if data is not None}
             store.upload_card(namespace, namespace_card(namespace, remote, found))
