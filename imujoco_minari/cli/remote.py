@@ -12,6 +12,7 @@ from imujoco_minari.cli.estimates import size_text
 from imujoco_minari.cli.options import (
     AsJson,
     Category,
+    DryRun,
     Everything,
     Force,
     MaybeDatasetIds,
@@ -43,9 +44,7 @@ def push_datasets(
     ] = False,
     token: Token = None,
     force: Force = False,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Print the datasets and their sizes, and do nothing.")
-    ] = False,
+    dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
     """Upload datasets to a remote.
