@@ -123,7 +123,7 @@ def import_command(
     imported = import_dataset(source, Variant.parse(variant), tier, columns=columns, force=force)
     near = imported.one_step
     if as_json:
-        print_json(vars(imported.published) | {"one_step_difference": near.asdict(), "notes": imported.notes})
+        print_json(vars(imported.published) | {"one_step_difference": vars(near), "notes": imported.notes})
         return
     gather([imported.published], describe_published, as_json=False)
     if not imported.published.created:

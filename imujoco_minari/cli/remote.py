@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from imujoco_minari.cli import options
 from imujoco_minari.cli.app import advancing, app, gather
 from imujoco_minari.cli.estimates import size_text
-from imujoco_minari.cli.options import spread
+from imujoco_minari.cli.options import option, spread
+from imujoco_minari.cli.printing import counted, say
 from imujoco_minari.cli.selection import DatasetChoice
 from imujoco_minari.errors import RemoteError
 
@@ -22,8 +23,12 @@ def push_datasets(
     remote: options.Remote = None,
     *,
     choice: DatasetChoice,
+    with_collections: Annotated[
+        bool, option("--with-collections", "Add the collections that combine these datasets.")
+    ] = False,
     token: options.Token = None,
     force: options.Force = False,
+    dry_run: options.DryRun = False,
     as_json: options.AsJson = False,
 ) -> None:
     """Upload datasets to a remote.
@@ -33,11 +38,24 @@ def push_datasets(
     files. A dataset that the remote has already is left alone, so an interrupted push can be continued.
 
     Examples: `imujoco push imujoco/hopper-massdec_25_leggeom-v0 --remote hf://user`,
-    `imujoco push --robot hopper --remote gcp://bucket`
+    `imujoco push --robot hopper --remote gcp://bucket`,
+    `imujoco push --all --with-base --with-collections --dry-run`
     """
-    from imujoco_minari.remotes import push_all
+    from imujoco_minari.remotes import collections_of, plan_push, push_all
 
     chosen = choice.datasets()
+    if with_collections:
+        chosen += collections_of(chosen)
+    if dry_run:
+        planned = list(plan_push(chosen))
+        if not as_json:
+            say(f"{counted(len(planned), 'dataset')}: {size_text(sum(each.bytes for each in planned))}")
+        gather(
+            planned,
+            lambda each: ("would push", f"{each.dataset_id}: {size_text(each.bytes)}"),
+            as_json=as_json,
+        )
+        return
     address = _address(remote)
     outcomes = push_all(chosen, address, token=token, force=force)
     shown = advancing(outcomes, f"pushing to {address}", len(chosen), quiet=as_json)

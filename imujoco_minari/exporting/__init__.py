@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any
 
 from imujoco_minari.errors import DatasetError, FormatError, clipped, suggestion
 from imujoco_minari.exporting.adapters import to_d3rlpy, to_imitation, to_tensordict, to_tianshou, to_torchrl
@@ -21,7 +21,6 @@ from imujoco_minari.storage.targets import new_target
 __all__ = [
     "FORMATS",
     "Exported",
-    "Writer",
     "default_target",
     "export",
     "export_archive",
@@ -32,23 +31,16 @@ __all__ = [
     "to_torchrl",
 ]
 
-# Format -> the module that writes it, and the file name extension; empty for a folder.
-FORMATS: Mapping[str, tuple[str, str]] = {
-    "d4rl": ("d4rl", ".hdf5"),
-    "di-engine": ("di_engine", ".hdf5"),
-    "rlds": ("rlds", ""),
-    "lerobot": ("lerobot", ""),
-    "npz": ("npz", ".npz"),
+# Format -> the module and the function that write it, and the file name extension; empty for a folder.
+FORMATS: Mapping[str, tuple[str, str, str]] = {
+    "d4rl": ("flat", "write_d4rl", ".hdf5"),
+    "di-engine": ("flat", "write_di_engine", ".hdf5"),
+    "rlds": ("rlds", "write", ""),
+    "lerobot": ("lerobot", "write", ""),
+    "npz": ("flat", "write_npz", ".npz"),
 }
 # The format of :func:`export_archive`, for the command line.
 ARCHIVE = "imujoco"
-
-
-class Writer(Protocol):
-    """The interface of a format's module."""
-
-    def write(self, data: Arrays, target: Path, *, states_only: bool) -> None:
-        """Write ``data`` to the new file or folder ``target``."""
 
 
 @dataclass(frozen=True)
@@ -90,11 +82,12 @@ def export(
         Exported(path=PosixPath('hopper-base.hdf5'), format='d4rl', episodes=100, steps=100000)
     """
     target = Path(target)
-    writer = _writer(format)
+    module, function, _ = _known(format)
+    write: Callable[..., None] = getattr(import_module(f"imujoco_minari.exporting.{module}"), function)
     with new_target(target, force=force) as staged:
         if not isinstance(data, Arrays):
             data = arrays(data)
-        writer.write(data, staged, states_only=states_only)
+        write(data, staged, states_only=states_only)
     return Exported(target, format, data.episodes, len(data))
 
 
@@ -137,12 +130,13 @@ def export_archive(
 
 def default_target(dataset_id: str, format: str, *, states_only: bool = False) -> Path:
     """Return the default path of an export, ``<name>-<format>`` in the current folder."""
-    _writer(format)
-    name = dataset_id.rpartition("/")[2] + f"-{format}" + ("-states" if states_only else "")
-    return Path(name + FORMATS[format][1])
+    extension = _known(format)[2]
+    states = "-states" if states_only else ""
+    return Path(f"{dataset_id.rpartition('/')[2]}-{format}{states}{extension}")
 
 
-def _writer(format: str) -> Writer:
+def _known(format: Any) -> tuple[str, str, str]:
+    """Return the entry of a format in :data:`FORMATS`."""
     if format == ARCHIVE:
         raise DatasetError(f"the format {ARCHIVE} is a folder of many datasets: see export_archive()")
     if not isinstance(format, str) or format not in FORMATS:
@@ -150,5 +144,4 @@ def _writer(format: str) -> Writer:
         raise FormatError(
             f"unknown format {shown!r}{suggestion(shown, FORMATS)}; valid: {', '.join((*FORMATS, ARCHIVE))}"
         )
-    module: Any = import_module(f"imujoco_minari.exporting.{FORMATS[format][0]}")
-    return cast(Writer, module)
+    return FORMATS[format]

@@ -1,7 +1,7 @@
 """Arrays as the in-memory datasets of other libraries: Tianshou, d3rlpy, TorchRL and imitation.
 
-None of these libraries is a dependency: an adapter imports its library when it is called. The docstring of an
-adapter states which data the library cannot hold.
+None of these libraries is a dependency: an adapter imports its library when it is called, and raises a
+DependencyError when it is not installed. Each docstring states which data the library cannot hold.
 """
 
 from __future__ import annotations
@@ -19,9 +19,6 @@ def to_tianshou(data: Arrays) -> Any:
     """Return a ``tianshou.data.ReplayBuffer`` of all steps, in order.
 
     No data is lost. The ``info`` of its batches is empty.
-
-    Raises:
-        DependencyError: when Tianshou is not installed.
     """
     buffer = _library("tianshou.data", "to_tianshou()").ReplayBuffer.from_data(
         obs=data.observations,
@@ -42,9 +39,6 @@ def to_d3rlpy(data: Arrays) -> Any:
 
     d3rlpy does not hold the final observation of an episode. It does not bootstrap at a termination, and it
     omits the last step of a truncated episode from its transitions.
-
-    Raises:
-        DependencyError: when d3rlpy is not installed.
     """
     d3rlpy = _library("d3rlpy", "to_d3rlpy()")
     return d3rlpy.dataset.MDPDataset(
@@ -63,9 +57,6 @@ def to_tensordict(data: Arrays) -> Any:
 
     Keys: ``observation``, ``action``, ``episode``, ``variant_index``, and under ``next``:
     ``observation``, ``reward``, ``terminated``, ``truncated``, ``done``. No data is lost.
-
-    Raises:
-        DependencyError: when TensorDict is not installed.
     """
     tensordict = _library("tensordict", "to_tensordict()")
     tensor = _library("torch", "to_tensordict()").from_numpy
@@ -90,13 +81,7 @@ def to_torchrl(data: Arrays, *, batch_size: int = 256) -> Any:
     """Return a ``torchrl.data.TensorDictReplayBuffer`` of all steps, in order.
 
     No data is lost. (TorchRL's own ``MinariExperienceReplay``, 0.14, returns zeros for a local dataset.)
-
-    Args:
-        data: the arrays.
-        batch_size: steps of a batch that ``sample()`` returns.
-
-    Raises:
-        DependencyError: when TorchRL is not installed.
+    ``sample()`` returns ``batch_size`` steps.
     """
     torchrl = _library("torchrl.data", "to_torchrl()")
     storage = torchrl.LazyTensorStorage(len(data))
@@ -109,9 +94,6 @@ def to_imitation(data: Arrays) -> list[Any]:
     """Return a list of ``imitation.data.types.TrajectoryWithRew``, one for each episode.
 
     ``terminal`` states whether the episode was terminated. imitation does not hold whether it was truncated.
-
-    Raises:
-        DependencyError: when imitation is not installed.
     """
     imitation = _library("imitation.data.types", "to_imitation()")
     return [
@@ -127,11 +109,6 @@ def to_imitation(data: Arrays) -> list[Any]:
 
 
 def _library(module: str, purpose: str) -> Any:
-    """Return a module of another library.
-
-    Raises:
-        DependencyError: when the library is not installed.
-    """
     try:
         return import_module(module)
     except ImportError:

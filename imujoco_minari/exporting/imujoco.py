@@ -1,8 +1,7 @@
 """The layout of the original's archive: datasets, policies and models of many variants in one folder.
 
-``dataset/sac-<variant>.npz`` has the columns of the format ``npz``, and terminated before the last one. An
-import uses this column to make the same datasets again. Programs for the original read the first columns and
-the last one.
+``dataset/sac-<variant>.npz`` is a table that also has the terminations, so an import makes the same datasets
+again. Programs for the original read its first columns and the last one.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from pathlib import Path
 
 from imujoco_minari.envs.mjcf import canonical_mjcf, mjcf_sha256
 from imujoco_minari.errors import DatasetError, VariantError
-from imujoco_minari.exporting.npz import write_table
+from imujoco_minari.exporting.flat import ARCHIVE_TABLE, write_table
 from imujoco_minari.loading import arrays
 from imujoco_minari.policies import Actor, load_policy
 from imujoco_minari.policies.sb3 import export_zip
@@ -38,12 +37,8 @@ xml/<variant>.xml           the model, for MuJoCo, and for xml_file= of Gymnasiu
 def write(dataset_ids: Sequence[str], target: Path, on_dataset: Callable[[], None]) -> tuple[int, int]:
     """Write datasets, their policies and models to the folder ``target``; return the episodes and steps.
 
-    All datasets are checked before the first is written.
-
-    Raises:
-        DatasetError: when two datasets are of one variant, or this version and its policies did not make one.
-        DatasetNotFoundError: when a dataset is not in the Minari root.
-        PolicyNotFoundError: when no single policy makes the tier of a dataset.
+    All datasets are checked before the first is written. :func:`~imujoco_minari.exporting.export_archive`
+    lists the errors.
     """
     chosen: dict[Variant, str] = {}
     actors: list[Actor] = []
@@ -63,8 +58,7 @@ def write(dataset_ids: Sequence[str], target: Path, on_dataset: Callable[[], Non
     episodes = steps = 0
     for (variant, dataset_id), actor in zip(chosen.items(), actors, strict=True):
         data = arrays(dataset_id)
-        columns = (data.observations, data.actions, data.rewards, data.next_observations, data.terminations)
-        write_table(data, target / file_name("dataset", variant), *columns)
+        write_table(data, target / file_name("dataset", variant), ARCHIVE_TABLE)
         export_zip(variant, target / file_name("policies", variant), actor)
         write_model(variant, target / file_name("xml", variant))
         episodes, steps = episodes + data.episodes, steps + len(data)

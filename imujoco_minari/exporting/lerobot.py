@@ -43,7 +43,8 @@ def write(data: Arrays, target: Path, *, states_only: bool) -> None:
     robot = data.table[0].robot
     rate = specification(robot).steps_per_second if robot in known_robots() else _UNKNOWN_RATE
     columns = _columns(data, rate, states_only)
-    files = _files(data)
+    # The number of the file for each episode.
+    files = data.episode_starts // _FILE_FRAMES
     for number in np.unique(files):
         first, last = np.flatnonzero(files == number)[[0, -1]]
         rows = slice(int(data.episode_starts[first]), int(data.episode_ends[last]))
@@ -71,11 +72,6 @@ def _columns(data: Arrays, rate: float, states_only: bool) -> ColumnArrays:
         "index": np.arange(len(data)),
         "task_index": data.variant_index.astype(np.int64),
     }
-
-
-def _files(data: Arrays) -> NDArray[Any]:
-    """Return the number of the file for each episode."""
-    return data.episode_starts // _FILE_FRAMES
 
 
 def _file_name(number: int) -> str:
@@ -106,9 +102,8 @@ def _statistics(column: NDArray[Any]) -> dict[str, list[float]]:
         "std": rows.std(axis=0, dtype=np.float64),
         "count": np.array([len(rows)]),
     }
-    numbers |= {
-        name: np.quantile(rows.astype(np.float64), share, axis=0) for name, share in _QUANTILES.items()
-    }
+    rows = rows.astype(np.float64)
+    numbers |= {name: np.quantile(rows, share, axis=0) for name, share in _QUANTILES.items()}
     return {name: value.tolist() for name, value in numbers.items()}
 
 
@@ -138,7 +133,12 @@ def _parquet(path: Path, columns: dict[str, Any], index: tuple[str, list[str]] |
     import pyarrow as pa
     from pyarrow import parquet
 
-    table = pa.table({name: _arrow(column) for name, column in columns.items()})
+    def arrow(column: Any) -> Any:
+        if isinstance(column, np.ndarray) and column.ndim == 2:
+            return pa.FixedSizeListArray.from_arrays(pa.array(column.ravel()), column.shape[1])
+        return pa.array(column)
+
+    table = pa.table({name: arrow(column) for name, column in columns.items()})
     if index is not None:
         name, labels = index
         table = table.append_column(name, pa.array(labels))
@@ -148,14 +148,6 @@ def _parquet(path: Path, columns: dict[str, Any], index: tuple[str, list[str]] |
         table = table.replace_schema_metadata({"pandas": json.dumps(described)})
     path.parent.mkdir(parents=True, exist_ok=True)
     parquet.write_table(table, path)
-
-
-def _arrow(column: Any) -> Any:
-    import pyarrow as pa
-
-    if isinstance(column, np.ndarray) and column.ndim == 2:
-        return pa.FixedSizeListArray.from_arrays(pa.array(column.ravel()), column.shape[1])
-    return pa.array(column)
 
 
 def _json(path: Path, content: dict[str, Any]) -> None:

@@ -80,17 +80,13 @@ class Archive:
             VariantError: when the archive has no such variant, or none is left.
         """
         ids = {str(variant): variant for variant in self.variants}
+        no_variant = f"the archive at {self.place} has no variant"
         for name in names:
             if name not in ids:
-                raise VariantError(
-                    f"the archive at {self.place} has no variant {name!r}{suggestion(name[:80], ids)}; "
-                    f"it has {len(ids)}"
-                )
+                raise VariantError(f"{no_variant} {name!r}{suggestion(name[:80], ids)}; it has {len(ids)}")
         chosen = of_kind([ids[name] for name in dict.fromkeys(names or ids)], robot, category)
         if not chosen:
-            raise VariantError(
-                f"the archive at {self.place} has no variant that --robot and --category leave"
-            )
+            raise VariantError(f"{no_variant} that --robot and --category leave")
         return chosen
 
     def member(self, variant: OriginalVariant, part: str) -> Member:
@@ -99,12 +95,11 @@ class Archive:
         Raises:
             DatasetNotFoundError: when the archive has no such file.
         """
-        found = self.files.get(variant, {}).get(part)
-        if found is None:
-            raise DatasetNotFoundError(
-                f"{variant}: the archive at {self.place} has no {file_name(part, variant)}"
-            )
-        return found
+        try:
+            return self.files[variant][part]
+        except KeyError:
+            name = file_name(part, variant)
+            raise DatasetNotFoundError(f"{variant}: the archive at {self.place} has no {name}") from None
 
     def mjcf(self, variant: OriginalVariant) -> tuple[str, str]:
         """Return the MJCF text of a variant as it is in the archive, and the canonical text.

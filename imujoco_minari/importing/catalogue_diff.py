@@ -79,8 +79,7 @@ def departure(variant: OriginalVariant, mjcf: str) -> Departure:
 
 def coverage(variants: Iterable[OriginalVariant], robot: str | None, category: str | None) -> Coverage:
     """Return which ids are in both catalogues, and which are in one of them only."""
-    theirs = {str(variant) for variant in variants}
-    ours = {str(variant) for variant in catalogue(robot, category)}
+    theirs, ours = set(map(str, variants)), set(map(str, catalogue(robot, category)))
     return Coverage(*(tuple(sorted(ids)) for ids in (theirs & ours, theirs - ours, ours - theirs)))
 
 

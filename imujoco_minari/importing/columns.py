@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from imujoco_minari.envs.registration import MAX_EPISODE_STEPS
 from imujoco_minari.errors import DatasetError, suggestion
-from imujoco_minari.importing.transitions import Transitions
+from imujoco_minari.exporting.flat import ARCHIVE_TABLE, TABLE
+from imujoco_minari.importing.transitions import QUANTITIES, Transitions
 from imujoco_minari.variants import specification
 from imujoco_minari.variants.pages import Reward
 
@@ -25,24 +26,17 @@ Array = NDArray[Any]
 ARRAY = "data"
 
 # The name of a column, and the field of Transitions that it becomes.
-_FIELDS = {
-    "observation": "observations",
-    "action": "actions",
-    "reward": "rewards",
-    "next_observation": "next_observations",
-    "done": "ends",
-    "terminated": "terminated",
-}
+_FIELDS = {quantity.column: field for field, quantity in QUANTITIES.items() if quantity.column}
 _COLUMNS = (*_FIELDS, "skip")
 _EXAMPLE = "observation,action,reward,done"
-# The columns that may stand between action and done. This package exports the last of these.
-_BETWEEN = (
-    (),
-    ("reward",),
-    ("next_observation",),
-    ("reward", "next_observation"),
-    ("next_observation", "reward"),
-    ("reward", "next_observation", "terminated"),
+# The layouts that are tried. This package exports the last two.
+_KNOWN = (
+    ("observation", "action", "done"),
+    ("observation", "action", "reward", "done"),
+    ("observation", "action", "next_observation", "done"),
+    ("observation", "action", "next_observation", "reward", "done"),
+    TABLE,
+    ARCHIVE_TABLE,
 )
 
 
@@ -68,13 +62,14 @@ class Layout:
             found = table[:, start : start + size]
             start += size
             if name in _FIELDS:
-                fields[_FIELDS[name]] = found if name.endswith(("observation", "action")) else found[:, 0]
+                field = _FIELDS[name]
+                fields[field] = found if QUANTITIES[field].space else found[:, 0]
         return Transitions(**fields)
 
 
 @dataclass(frozen=True)
 class Check:
-    """A condition that a right layout meets, whether it is met, and the values that were found."""
+    """A condition that a right layout meets, whether it is met, and what was found."""
 
     what: str
     passed: bool
@@ -103,7 +98,7 @@ def layout(text: str, robot: str) -> Layout:
             )
         if name == "skip" and count and not (count.isascii() and count.isdigit() and 0 < int(count) < 1000):
             raise DatasetError(f"column {word!r}: valid: skip, or skip:<how many>")
-        columns.append((name, int(count or 1) if name == "skip" else _size(name, robot)))
+        columns.append((name, int(count or 1) if name == "skip" else QUANTITIES[_FIELDS[name]].size(robot)))
     missing = [name for name in ("observation", "action", "done") if name not in dict(columns)]
     if missing:
         raise DatasetError(f"the columns need {missing[0]}; for example {_EXAMPLE}")
@@ -142,9 +137,7 @@ def read_table(
 
 
 def _detect(table: Array, robot: str, name: str) -> tuple[Layout, list[Check]]:
-    candidates = [
-        layout(",".join(("observation", "action", *between, "done")), robot) for between in _BETWEEN
-    ]
+    candidates = [layout(",".join(known), robot) for known in _KNOWN]
     tried = [(each, _checks(table, each, robot)) for each in candidates if each.width == table.shape[1]]
     fitting = [(candidate, checks) for candidate, checks in tried if all(check.passed for check in checks)]
     if len(fitting) == 1:
@@ -171,8 +164,8 @@ def _checks(table: Array, candidate: Layout, robot: str) -> list[Check]:
     formula = specification(robot).reward
     if rows.rewards is not None and formula is not None:
         checks.append(_check_reward(rows, rows.rewards, robot, formula))
-    if rows.terminated is not None:
-        checks.append(_check_terminated(rows.ends, rows.terminated))
+    if rows.terminations is not None:
+        checks.append(_check_terminated(rows.ends, rows.terminations))
     return checks
 
 
@@ -235,8 +228,3 @@ def _inner(rows: Transitions) -> Array:
     # Some files mark only falls, and begin a new episode after 1000 rows.
     inner[MAX_EPISODE_STEPS - 1 :: MAX_EPISODE_STEPS] = False
     return inner
-
-
-def _size(name: str, robot: str) -> int:
-    observation, action = specification(robot).sizes
-    return action if name == "action" else observation if name.endswith("observation") else 1

@@ -21,7 +21,7 @@ from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoErr
 from imujoco_minari.importing.columns import ARRAY, read_table
 from imujoco_minari.importing.physics import Physics
 from imujoco_minari.importing.safe_unpack import Allowance, Array, read_npz
-from imujoco_minari.importing.transitions import Fidelity, Transitions, cut
+from imujoco_minari.importing.transitions import QUANTITIES, Fidelity, Transitions, cut
 from imujoco_minari.policies.references import reference_scores
 from imujoco_minari.publishing.new_dataset import NewDataset, publish_episodes
 from imujoco_minari.publishing.outcome import Published
@@ -29,17 +29,6 @@ from imujoco_minari.storage import containment, file_format, minari_root
 from imujoco_minari.storage.metadata import provenance, read_metadata
 from imujoco_minari.variants import Variant
 from imujoco_minari.verification.child_process import survives_walk
-
-# The names of an array in flat files, D4RL's first.
-_NAMES = {
-    "observations": ("observations", "observation", "obs", "states"),
-    "actions": ("actions", "action", "acts", "act"),
-    "rewards": ("rewards", "reward", "rews"),
-    "next_observations": ("next_observations", "next_obs", "next_states"),
-    "terminated": ("terminals", "terminations", "terminated"),
-    "truncated": ("timeouts", "truncations", "truncated"),
-    "ends": ("dones", "done"),
-}
 
 
 @dataclass(frozen=True)
@@ -105,7 +94,7 @@ def import_dataset(
                 ),
             ),
             "source": Path(source).name[:200],
-            "one_step_difference": near.asdict(),
+            "one_step_difference": vars(near),
             **({"source_columns": read.columns} if read.columns else {}),
             **reference_scores(variant),
         }
@@ -155,7 +144,7 @@ def _npz(path: Path, robot: str, columns: str | None) -> ExternalData:
 def _d4rl(path: Path, robot: str) -> ExternalData:
     allowance = Allowance()
     with _opened(path) as file:
-        known = [name for names in _NAMES.values() for name in names if name in file]
+        known = [name for quantity in QUANTITIES.values() for name in quantity.names if name in file]
         arrays = {name: _array(file, name, str(path), allowance) for name in known}
         if not arrays and "episode_0" in file:
             raise DatasetError(f"{path}: is a Minari dataset's file: give the dataset's folder, or its id")
@@ -164,19 +153,19 @@ def _d4rl(path: Path, robot: str) -> ExternalData:
 
 def _flat(arrays: Mapping[str, Array], robot: str, name: str) -> Transitions:
     """Return the transitions of arrays of one length, under any of their known names."""
-    found = {
-        field: arrays[known]
-        for field, names in _NAMES.items()
-        if (known := next((word for word in names if word in arrays), None)) is not None
-    }
+    found: dict[str, Array] = {}
+    for field, quantity in QUANTITIES.items():
+        known = [word for word in quantity.names if word in arrays]
+        if known:
+            found[field] = arrays[known[0]]
     if not {"observations", "actions"} <= set(found):
         seen = ", ".join(sorted(arrays))[:200] or "no array of a known name"
         raise DatasetError(f"{name}: has no observations and actions, but {seen}")
-    flags = [found[field] for field in ("terminated", "truncated", "ends") if field in found]
+    flags = [found[field] for field in ("terminations", "truncations", "ends") if field in found]
     if not flags:
         raise DatasetError(f"{name}: nothing says where episodes end; valid: terminals, timeouts, dones")
     steps = Transitions(**({"ends": flags[0]} | found)).checked(robot, name)
-    ends = [array for array in (steps.terminated, steps.truncated, steps.ends) if array is not None]
+    ends = [array for array in (steps.terminations, steps.truncations, steps.ends) if array is not None]
     return replace(steps, ends=np.any(ends, axis=0))
 
 
@@ -215,8 +204,8 @@ def _episode(group: h5py.Group, name: str, robot: str, allowance: Allowance) -> 
         observations=observations[:-1],
         actions=arrays["actions"],
         ends=np.arange(length) == length - 1,
-        terminated=arrays["terminations"],
-        truncated=arrays["truncations"],
+        terminations=arrays["terminations"],
+        truncations=arrays["truncations"],
         rewards=arrays["rewards"],
         next_observations=observations[1:],
     ).checked(robot, name)

@@ -49,8 +49,7 @@ class Import:
     Attributes:
         columns: the columns of its tables, where the user states them.
         recollect: roll the archive's policies out instead of importing its episodes.
-        episodes: how many episodes to roll out.
-        seed: base seed of the rollouts.
+        episodes: how many episodes to roll out, with ``seed`` as base seed.
         force: replace datasets that have the ids.
     """
 
@@ -109,7 +108,7 @@ def import_variant(archive: Archive, variant: OriginalVariant, how: Import) -> P
             **origin,
             "source_columns": str(layout),
             "source_checks": [str(check) for check in checks],
-            "one_step_difference": found.fidelity().asdict(),
+            "one_step_difference": vars(found.fidelity()),
         }
         attributes = file_format.attributes(variant, how.tier) | {CATALOGUE: ORIGINAL}
         attributes[file_format.REPLAYABLE] = False
@@ -187,12 +186,6 @@ def _reference_maximum(found: Cut) -> dict[str, Any]:
     if rewards is None:
         return {}
     returns = [float(rewards[start:stop].sum()) for start, stop in found.bounds]
-    return {
-        "ref_max_score": float(np.mean(returns)),
-        "ref_max_evaluation": {
-            "episodes": len(returns),
-            "return_mean": float(np.mean(returns)),
-            "return_std": float(np.std(returns)),
-            "source": "this dataset's own episodes",
-        },
-    }
+    statistics = {"return_mean": float(np.mean(returns)), "return_std": float(np.std(returns))}
+    own = {"episodes": len(returns), **statistics, "source": "this dataset's own episodes"}
+    return {"ref_max_score": statistics["return_mean"], "ref_max_evaluation": own}

@@ -7,8 +7,8 @@ that a file lacks are simulated, and a note states this. Values that it has are 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from minari.data_collector import EpisodeBuffer
@@ -26,6 +26,40 @@ _JUMP = 0.02
 _FIDELITY_ROWS = 500
 
 
+class Quantity(NamedTuple):
+    """How files name a quantity of each step.
+
+    Attributes:
+        column: its name as a column of a table; empty if a table has no such column.
+        names: its names as an array of a file, D4RL's first.
+        space: the space of its values, ``observation`` or ``action``; empty for one number.
+    """
+
+    column: str
+    names: tuple[str, ...]
+    space: str = ""
+
+    def size(self, robot: str) -> int:
+        """Return how many numbers a step of the robot has of it."""
+        observation, action = specification(robot).sizes
+        return {"observation": observation, "action": action}.get(self.space, 1)
+
+
+# The fields of Transitions.
+QUANTITIES = {
+    "observations": Quantity("observation", ("observations", "observation", "obs", "states"), "observation"),
+    "actions": Quantity("action", ("actions", "action", "acts", "act"), "action"),
+    "rewards": Quantity("reward", ("rewards", "reward", "rews")),
+    "next_observations": Quantity(
+        "next_observation", ("next_observations", "next_obs", "next_states"), "observation"
+    ),
+    "terminations": Quantity("terminated", ("terminals", "terminations", "terminated")),
+    "truncations": Quantity("", ("timeouts", "truncations", "truncated")),
+    "ends": Quantity("done", ("dones", "done")),
+}
+_FLAGS = ("ends", "terminations", "truncations")
+
+
 @dataclass(frozen=True)
 class Transitions:
     """Steps in the order they were made, of several episodes one after the other.
@@ -34,9 +68,9 @@ class Transitions:
         observations: ``(n, observation size)``, float64.
         actions: ``(n, action size)``, float32.
         ends: ``(n,)``, whether the source marks the step as its episode's last.
-        terminated: ``(n,)``, whether the source marks the step as a termination; None if it does not
+        terminations: ``(n,)``, whether the source marks the step as a termination; None if it does not
             separate terminations from time limits.
-        truncated: ``(n,)``, whether the source marks the step as the last by a time limit, or None.
+        truncations: ``(n,)``, whether the source marks the step as the last by a time limit, or None.
         rewards: ``(n,)``, float64, or None.
         next_observations: like ``observations``, the observation after each step, or None.
     """
@@ -44,8 +78,8 @@ class Transitions:
     observations: Array
     actions: Array
     ends: Array
-    terminated: Array | None = None
-    truncated: Array | None = None
+    terminations: Array | None = None
+    truncations: Array | None = None
     rewards: Array | None = None
     next_observations: Array | None = None
 
@@ -53,31 +87,20 @@ class Transitions:
         return len(np.atleast_1d(self.observations))
 
     def checked(self, robot: str, name: str) -> Transitions:
-        """Return the transitions in the dtypes of the robot's spaces.
-
-        Args:
-            robot: the robot that they must be of.
-            name: the name of the source in messages.
+        """Return the transitions in the dtypes of the robot's spaces. ``name`` names the source in messages.
 
         Raises:
             DatasetError: when there are no steps, or a shape, a value or an action does not fit the robot.
         """
-        (observation, action), rows = specification(robot).sizes, len(self)
-        if not rows:
+        if not len(self):
             raise DatasetError(f"{name}: holds no steps")
         cast: dict[str, Any] = {}
-        for field, what, shape, dtype in (
-            ("observations", "observations", (rows, observation), np.float64),
-            ("actions", "actions", (rows, action), np.float32),
-            ("rewards", "rewards", (rows,), np.float64),
-            ("next_observations", "next observations", (rows, observation), np.float64),
-            ("terminated", "terminations", (rows,), bool),
-            ("truncated", "truncations", (rows,), bool),
-            ("ends", "ends", (rows,), bool),
-        ):
-            array = getattr(self, field)
+        for field, quantity in QUANTITIES.items():
+            array, what = getattr(self, field), field.replace("_", " ")
             if array is None:
                 continue
+            shape = (len(self), quantity.size(robot)) if quantity.space else (len(self),)
+            dtype = bool if field in _FLAGS else np.float32 if field == "actions" else np.float64
             if array.shape != shape:
                 raise DatasetError(f"{name}: {what} are of shape {array.shape}; {robot} needs {shape}")
             if not np.isfinite(array).all():
@@ -106,10 +129,6 @@ class Fidelity:
     velocity_max: float | None = None
     reward_median: float | None = None
     reward_max: float | None = None
-
-    def asdict(self) -> dict[str, Any]:
-        """Return the fields as a dict for JSON."""
-        return asdict(self)
 
 
 @dataclass(frozen=True)
@@ -175,8 +194,8 @@ class Cut:
 
     def _terminated(self, start: int, stop: int, final: Array) -> bool:
         """Return whether an episode ended in a fall, by the source's flags or else by the robot's rules."""
-        if self.transitions.terminated is not None:
-            return bool(self.transitions.terminated[stop - 1])
+        if self.transitions.terminations is not None:
+            return bool(self.transitions.terminations[stop - 1])
         if not self.transitions.ends[stop - 1] or not self.physics.can_terminate:
             return False
         # A mark before the time limit must be a fall. A mark at the limit may be either.
@@ -184,8 +203,8 @@ class Cut:
 
     def _truncated(self, start: int, stop: int) -> bool:
         """Return whether an episode reached its time limit, by the source's flags or else by its length."""
-        if self.transitions.truncated is not None:
-            return bool(self.transitions.truncated[stop - 1])
+        if self.transitions.truncations is not None:
+            return bool(self.transitions.truncations[stop - 1])
         return stop - start == MAX_EPISODE_STEPS
 
 
@@ -204,11 +223,12 @@ def cut(transitions: Transitions, physics: Physics) -> Cut:
         start = last + 1
     simulate_final = transitions.next_observations is None or _shows_resets(transitions, bounds)
     (start, stop), cut_off = bounds[-1], not transitions.ends[-1]
+    at_limit = (
+        f"Episodes that end by the limit of {MAX_EPISODE_STEPS} steps, unmarked in the source: {limited}."
+    )
     notes = {
         f"Episodes that end at a reset that the source does not mark: {len(unmarked)}.": len(unmarked),
-        f"Episodes that end by the limit of {MAX_EPISODE_STEPS} steps, unmarked in the source: {limited}.": (
-            limited
-        ),
+        at_limit: limited,
         "The last episode is cut where the source ends.": cut_off and stop - start < MAX_EPISODE_STEPS,
         "The source has no observation after an episode's last step: "
         "the final observation of each episode is simulated from the one before it.": simulate_final,
@@ -239,12 +259,9 @@ def _unmarked_resets(transitions: Transitions, physics: Physics) -> Array:
         gaps = np.abs(transitions.next_observations[:-1] - observations[1:]).max(axis=1)
         return np.flatnonzero(inner & (gaps > _JUMP))
     reset = physics.looks_reset(observations)
-    rows = np.flatnonzero(inner & reset[1:] & ~reset[:-1])
-    return np.array(
-        [row for row in rows.tolist() if _jumps(observations, transitions.actions, row, physics)], dtype=int
-    )
-
-
-def _jumps(observations: Array, actions: Array, row: int, physics: Physics) -> bool:
-    simulated, _ = physics.step(observations[row], actions[row])
-    return bool(np.abs(simulated - observations[row + 1])[: physics.positions].max() > _JUMP)
+    jumps = []
+    for row in np.flatnonzero(inner & reset[1:] & ~reset[:-1]).tolist():
+        simulated, _ = physics.step(observations[row], transitions.actions[row])
+        if np.abs(simulated - observations[row + 1])[: physics.positions].max() > _JUMP:
+            jumps.append(row)
+    return np.array(jumps, dtype=int)

@@ -8,6 +8,6 @@ complete datasets only.
 from __future__ import annotations
 
 from imujoco_minari.remotes.pulling import Pulled, pull, pull_all
-from imujoco_minari.remotes.pushing import Pushed, push, push_all
+from imujoco_minari.remotes.pushing import Pushed, collections_of, plan_push, push, push_all
 
-__all__ = ["Pulled", "Pushed", "pull", "pull_all", "push", "push_all"]
+__all__ = ["Pulled", "Pushed", "collections_of", "plan_push", "pull", "pull_all", "push", "push_all"]

@@ -20,7 +20,7 @@ from imujoco_minari.policies.tiers import EXPERT_STOCHASTIC, MEDIUM_REPLAY, RAND
 from imujoco_minari.storage.file_format import MAIN_FILE, REPLAYABLE
 from imujoco_minari.storage.metadata import AUTHOR, read_metadata, sources, texts
 from imujoco_minari.storage.missing import making
-from imujoco_minari.variants import EXPERT, Variant, parse_dataset_id
+from imujoco_minari.variants import EXPERT, parse_dataset_id
 
 ORIGINAL = "https://zenodo.org/records/7971395"
 PAPER = "https://arxiv.org/abs/2306.13554"
@@ -32,27 +32,12 @@ CITATION = """@inproceedings{patacchiola2023comparing,
   note      = {The original iMuJoCo; data at https://zenodo.org/records/7971395}
 }"""
 
-_SIZES = (
-    (10**3, "n<1K"),
-    (10**4, "1K<n<10K"),
-    (10**5, "10K<n<100K"),
-    (10**6, "100K<n<1M"),
-    (10**7, "1M<n<10M"),
-    (10**8, "10M<n<100M"),
-    (10**9, "100M<n<1B"),
-)
+_POWERS = ("1K", "10K", "100K", "1M", "10M", "100M", "1B")
 _TAGS = ("minari", "gymnasium", "mujoco", "imitation-learning", "offline-reinforcement-learning", "imujoco")
 
 
 def front_matter(title: str, license_: str, steps: int, tags: Sequence[str] = ()) -> str:
-    """Return the YAML block at the start of a card.
-
-    Args:
-        title: title of the page.
-        license_: the Hub's name of a licence.
-        steps: number of steps. The Hub groups datasets by it.
-        tags: tags of this dataset. The tags of this package are always added.
-    """
+    """Return the YAML block at the start of a card. ``license_`` is the Hub's name of a licence."""
     lines = ["---", f"license: {license_}", f"pretty_name: {json.dumps(title)}"]
     # The Hub would read HDF5 as a table and show an error in place of the card.
     lines += ["viewer: false", "size_categories:", f"- {size_category(steps)}"]
@@ -63,19 +48,14 @@ def front_matter(title: str, license_: str, steps: int, tags: Sequence[str] = ()
 
 def size_category(rows: int) -> str:
     """Return the Hub's size category of a dataset with this number of rows."""
-    for limit, name in _SIZES:
-        if rows < limit:
-            return name
-    return "n>1B"
+    if rows < 10**3 or rows >= 10**9:
+        return "n<1K" if rows < 10**3 else "n>1B"
+    power = len(str(rows)) - 4
+    return f"{_POWERS[power]}<n<{_POWERS[power + 1]}"
 
 
 def dataset_card(data: Path, remote: str) -> str:
-    """Return the card of a dataset as Markdown.
-
-    Args:
-        data: the dataset's ``data`` folder.
-        remote: address of the remote that shows the card.
-    """
+    """Return the card of the dataset with the folder ``data``, for the remote at this address."""
     metadata = read_metadata(data)
     dataset_id = metadata["dataset_id"]
     with h5py.File(data / MAIN_FILE, "r") as file:
@@ -96,38 +76,33 @@ def dataset_card(data: Path, remote: str) -> str:
 
 
 def namespace_card(namespace: str, remote: str, datasets: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return the card of a namespace as Markdown, with a table of its datasets.
+    """Return the card of a namespace such as ``imujoco``, with a table of its datasets.
 
     Args:
-        namespace: name of the namespace, such as ``imujoco``.
+        namespace: name of the namespace.
         remote: address of the remote.
         datasets: maps the id of each dataset that the remote lists to its metadata.
     """
-    steps = sum(_steps(metadata) for metadata in datasets.values())
-    rows = [
-        (
-            f"`{dataset_id}`",
-            str(metadata.get("total_episodes", "")),
-            f"{_steps(metadata):,}",
-            str(metadata.get("algorithm_name", "")),
-        )
-        for dataset_id, metadata in sorted(datasets.items())
-    ]
+    steps, rows = 0, []
+    for dataset_id, metadata in sorted(datasets.items()):
+        stated = metadata.get("total_steps")
+        own = stated if isinstance(stated, int) else 0
+        steps += own
+        episodes, policy = metadata.get("total_episodes", ""), metadata.get("algorithm_name", "")
+        rows.append((f"`{dataset_id}`", str(episodes), f"{own:,}", str(policy)))
     licenses = {_license_name(metadata) for metadata in datasets.values()}
     license_ = licenses.pop() if len(licenses) == 1 else "other"
-    example = sorted(datasets)[0] if datasets else f"{namespace}/hopper-base-v0"
-    return "\n".join(
-        [
-            front_matter(f"iMuJoCo, rebuilt ({namespace})", license_, steps),
-            f"# {namespace}\n\nDatasets of MuJoCo robots, each with one physical parameter changed, "
-            "in [Minari](https://minari.farama.org)'s format, made with the Python "
-            "package `imujoco-minari`.\n",
-            "## How to load them\n\n" + _loading_instructions(example, remote),
-            f"## The datasets\n\n{len(datasets)} datasets, {steps:,} steps.\n\n"
-            + _markdown_table(("dataset", "episodes", "steps", "policy"), rows),
-            _origin_section(list(datasets.values())),
-        ]
-    )
+    example = min(datasets, default=f"{namespace}/hopper-base-v0")
+    parts = [
+        front_matter(f"iMuJoCo, rebuilt ({namespace})", license_, steps),
+        f"# {namespace}\n\nDatasets of MuJoCo robots, each with one physical parameter changed, in "
+        "[Minari](https://minari.farama.org)'s format, made with the Python package `imujoco-minari`.\n",
+        "## How to load them\n\n" + _loading_instructions(example, remote),
+        f"## The datasets\n\n{len(datasets)} datasets, {steps:,} steps.\n\n"
+        + _markdown_table(("dataset", "episodes", "steps", "policy"), rows),
+        _origin_section(list(datasets.values())),
+    ]
+    return "\n".join(parts)
 
 
 def _change_section(dataset_id: str) -> list[str]:
@@ -144,22 +119,21 @@ def _change_section(dataset_id: str) -> list[str]:
 
 
 def _number_rows(metadata: Mapping[str, Any], returns: Any, lengths: Any) -> list[tuple[str, str]]:
+    mean, spread = (
+        f"{returns.mean():.1f} ± {returns.std():.1f}",
+        f"{returns.min():.1f} to {returns.max():.1f}",
+    )
     rows = [
         ("episodes", f"{len(returns)}"),
         ("steps", f"{lengths.sum():,}"),
-        (
-            "return",
-            f"{returns.mean():.1f} ± {returns.std():.1f} ({returns.min():.1f} to {returns.max():.1f})",
-        ),
+        ("return", f"{mean} ({spread})"),
         ("episode length", f"{lengths.mean():.0f} steps ({lengths.min()} to {lengths.max()})"),
         ("policy", str(metadata.get("algorithm_name", "unknown"))),
     ]
     if "policy_deterministic" in metadata:
         rows.append(("actions", "the policy's mode" if metadata["policy_deterministic"] else "sampled"))
-    for key, name in (
-        ("ref_min_score", "return of a random policy"),
-        ("ref_max_score", "return of the expert"),
-    ):
+    references = {"ref_min_score": "return of a random policy", "ref_max_score": "return of the expert"}
+    for key, name in references.items():
         if isinstance(metadata.get(key), int | float):
             rows.append((name, f"{metadata[key]:.1f}"))
     if combined := sources(metadata):
@@ -205,10 +179,6 @@ def _reproducing_command(metadata: Mapping[str, Any]) -> str:
         return making(variant.dataset_id(tier))
     if tier not in TIERS:
         return ""
-    return _publish_command(variant, tier, metadata)
-
-
-def _publish_command(variant: Variant, tier: str, metadata: Mapping[str, Any]) -> str:
     command = f"imujoco publish {variant}"
     if tier != MEDIUM_REPLAY:
         command += f" --episodes {metadata['total_episodes']}"
@@ -224,10 +194,9 @@ def _publish_command(variant: Variant, tier: str, metadata: Mapping[str, Any]) -
 def _origin_section(datasets: Sequence[Mapping[str, Any]]) -> str:
     """Return the section that names the authors of the episodes and cites the original."""
     others = sorted({author for each in datasets for author in texts(each, "author")} - {AUTHOR})
+    authors = "These episodes are new. They are not from its archive."
     if others:
         authors = f"Episodes or policies are by {', '.join(others)}."
-    else:
-        authors = "These episodes are new. They are not from its archive."
     return (
         "## Where it comes from\n\n"
         f"The idea, the names of the variants and their counts are from iMuJoCo ([paper]({PAPER}), "
@@ -240,12 +209,6 @@ def _license_name(metadata: Mapping[str, Any]) -> str:
     if isinstance(metadata.get("license"), str):
         return str(metadata["license"]).lower()
     return "apache-2.0" if metadata.get("author") == [AUTHOR] else "unknown"
-
-
-def _steps(metadata: Mapping[str, Any]) -> int:
-    """Return the number of steps that the metadata of a remote dataset states; 0 if it states none."""
-    steps = metadata.get("total_steps")
-    return steps if isinstance(steps, int) else 0
 
 
 def _markdown_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

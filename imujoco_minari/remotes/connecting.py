@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
+from importlib import import_module
+from typing import cast
 
 from imujoco_minari.errors import RemoteError, missing_dependency
 from imujoco_minari.remotes.stores import Store, remote_errors
 
+# Kind of an address -> our module, and the package that it needs.
+_MODULES = {"hf": ("huggingface", "huggingface_hub"), "gcp": ("gcp", "google-cloud-storage")}
 _ADDRESS = re.compile(r"(?P<kind>hf|gcp)://(?P<name>[A-Za-z0-9][-\w.]{0,221})", re.ASCII)
 
 
@@ -28,19 +30,10 @@ def connect(address: str, *, token: str | None = None, writing: bool = False) ->
     match = _ADDRESS.fullmatch(address)
     if match is None:
         raise RemoteError(f"malformed remote {address[:80]!r}; valid: hf://<user> or gcp://<bucket>")
-    with remote_errors(address):
-        if match["kind"] == "hf":
-            with _require_package("huggingface_hub", address):
-                from imujoco_minari.remotes.huggingface import HubStore
-            return HubStore.connect(match["name"], token, writing)
-        with _require_package("google-cloud-storage", address):
-            from imujoco_minari.remotes.gcp import BucketStore
-        return BucketStore.connect(match["name"], token, writing)
-
-
-@contextmanager
-def _require_package(package: str, address: str) -> Iterator[None]:
+    module, package = _MODULES[match["kind"]]
     try:
-        yield
+        connect_store = import_module(f"imujoco_minari.remotes.{module}").connect
     except ImportError as error:
         raise missing_dependency(package, "remote", f"the remote {address}") from error
+    with remote_errors(address):
+        return cast(Store, connect_store(match["name"], token, writing))

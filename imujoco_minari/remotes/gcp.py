@@ -26,46 +26,12 @@ class BucketStore(GCPStorage):  # type: ignore[misc,unused-ignore]
 
     shows_cards = False
 
-    @classmethod
-    def connect(cls, name: str, token: str | None, writing: bool) -> BucketStore:
-        """Return the store of a bucket.
-
-        Args:
-            name: name of the bucket.
-            token: path of a service account's key file; None reads ``GOOGLE_APPLICATION_CREDENTIALS``.
-            writing: require a key file and an existing bucket.
-
-        Raises:
-            RemoteError: if the key file is missing or unreadable.
-        """
-        token = token or os.environ.get(_KEY_FILE)
-        if "STORAGE_EMULATOR_HOST" in os.environ:
-            token = None
-        elif token is None and writing:
-            raise RemoteError(
-                f"gcp://{name}: no credentials: give the path of a service account's key file with --token "
-                f"or in {_KEY_FILE}"
-            )
-        if token is not None and not Path(token).is_file():
-            raise RemoteError(f"gcp://{name}: no key file at {token}")
-        try:
-            store = cls(name, token)
-        except ValueError as error:
-            raise RemoteError(
-                f"gcp://{name}: {token} is not a service account's key file: {error}"
-            ) from error
-        if writing:
-            # Listing fails on a missing bucket and needs one permission less than asking for the bucket.
-            next(iter(store.bucket.list_blobs(max_results=1)), None)
-        return store
-
     def read(self, path: str) -> bytes | None:
         """Return the content of an object, or None if it does not exist."""
         try:
-            data: bytes = self.bucket.blob(path).download_as_bytes()
+            return bytes(self.bucket.blob(path).download_as_bytes())
         except NotFound:
             return None
-        return data
 
     def registered(self, namespace: str, dataset_id: str) -> bool:
         """Return True, since Minari lists every dataset of a bucket that has metadata."""
@@ -73,22 +39,21 @@ class BucketStore(GCPStorage):  # type: ignore[misc,unused-ignore]
 
     def holds(self, dataset_id: str) -> bool:
         """Return whether the bucket's digests of a dataset's files equal those of the local files."""
-        return all(
-            self._holds_file(f"{dataset_id}/{name}", dataset_folder(dataset_id) / name) for name in FILES
-        )
+        folder = dataset_folder(dataset_id)
+        return all(self._holds_file(f"{dataset_id}/{name}", folder / name) for name in FILES)
 
     def upload_dataset(self, dataset_id: str, card: str | None = None) -> None:
         """Upload a dataset, its ``metadata.json`` last."""
         if card is not None:
-            self._write_card(dataset_id, card)
+            self.upload_card(dataset_id, card)
         for name in FILES:
             file = dataset_folder(dataset_id) / name
             if not self._holds_file(f"{dataset_id}/{name}", file):
                 self.bucket.blob(f"{dataset_id}/{name}").upload_from_filename(str(file), checksum="md5")
 
     def upload_card(self, namespace: str, card: str) -> None:
-        """Replace the card of a namespace."""
-        self._write_card(namespace, card)
+        """Replace the card of a namespace or a dataset."""
+        self.bucket.blob(f"{namespace}/{CARD}").upload_from_string(card, "text/markdown; charset=utf-8")
 
     def download_dataset(self, dataset_id: str, path: Path) -> None:
         """Download the files of a dataset by fixed names, so no name can lead out of ``path``."""
@@ -100,12 +65,31 @@ class BucketStore(GCPStorage):  # type: ignore[misc,unused-ignore]
             except NotFound:
                 raise RemoteError(f"gcp://{self.bucket.name}: {dataset_id} has no {name}") from None
 
-    def _write_card(self, folder: str, card: str) -> None:
-        self.bucket.blob(f"{folder}/{CARD}").upload_from_string(card, "text/markdown; charset=utf-8")
-
     def _holds_file(self, path: str, file: Path) -> bool:
         blob = self.bucket.get_blob(path)
         return blob is not None and blob.md5_hash == _md5_base64(file)
+
+
+def connect(name: str, token: str | None, writing: bool) -> BucketStore:
+    """Return the store of the bucket ``name``; ``writing`` requires a key file and an existing bucket."""
+    token = token or os.environ.get(_KEY_FILE)
+    if "STORAGE_EMULATOR_HOST" in os.environ:
+        token = None
+    elif token is None and writing:
+        raise RemoteError(
+            f"gcp://{name}: no credentials: give the path of a service account's key file with --token "
+            f"or in {_KEY_FILE}"
+        )
+    if token is not None and not Path(token).is_file():
+        raise RemoteError(f"gcp://{name}: no key file at {token}")
+    try:
+        store = BucketStore(name, token)
+    except ValueError as error:
+        raise RemoteError(f"gcp://{name}: {token} is not a service account's key file: {error}") from error
+    if writing:
+        # Listing fails on a missing bucket and needs one permission less than asking for the bucket.
+        next(iter(store.bucket.list_blobs(max_results=1)), None)
+    return store
 
 
 def _md5_base64(file: Path) -> str:

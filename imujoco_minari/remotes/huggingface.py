@@ -32,25 +32,6 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
 
     shows_cards = True
 
-    @classmethod
-    def connect(cls, name: str, token: str | None, writing: bool) -> HubStore:
-        """Return the store of a user or an organisation.
-
-        Args:
-            name: the user or organisation.
-            token: a Hugging Face token; None reads the stored one.
-            writing: require a token.
-
-        Raises:
-            RemoteError: if ``writing`` is true and no token is found.
-        """
-        token = token or get_token()
-        if token is None and writing:
-            raise RemoteError(
-                f"hf://{name}: no token: log in with `hf auth login`, set HF_TOKEN, or give one with --token"
-            )
-        return cls(name, token)
-
     def read(self, path: str) -> bytes | None:
         """Return a file's content at the head of its repository, or None if it does not exist."""
         repository, name = self._decompose_path(path)
@@ -143,6 +124,16 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
 
     def _repo_id(self, repository: str) -> str:
         return f"{self.name}/{repository}"
+
+
+def connect(name: str, token: str | None, writing: bool) -> HubStore:
+    """Return the store of the user or organisation ``name``; ``writing`` requires a token."""
+    token = token or get_token()
+    if token is None and writing:
+        raise RemoteError(
+            f"hf://{name}: no token: log in with `hf auth login`, set HF_TOKEN, or give one with --token"
+        )
+    return HubStore(name, token)
 
 
 def _is_equal(file: Path, entry: Any) -> bool:

@@ -83,8 +83,8 @@ def pull_all(
 
     Args:
         dataset_ids: the datasets.
-        remote: ``hf://user`` or ``gcp://bucket``.
-        token: a Hugging Face token, or the path of a service account's key file. Public data needs none.
+        remote: as of :func:`pull`.
+        token: as of :func:`pull`.
         force: replace the datasets of the root that have these ids.
 
     Raises:
@@ -92,11 +92,10 @@ def pull_all(
     """
     store = connect(remote, token=token)
     done: set[str] = set()
+    replaceable = set(dataset_ids) if force else set[str]()
     for dataset_id in dict.fromkeys(dataset_ids):
         try:
-            yield from _pull_with_sources(
-                store, dataset_id, remote, set(dataset_ids) if force else set(), done
-            )
+            yield from _pull_with_sources(store, dataset_id, remote, replaceable, done)
         except ImujocoError as error:
             yield Pulled(dataset_id, remote, error=str(error), missing=error.missing)
 
@@ -106,12 +105,7 @@ def _pull_with_sources(
 ) -> Iterator[Pulled]:
     """Pull a dataset and its sources. All are checked before the first becomes visible.
 
-    Args:
-        store: the remote.
-        dataset_id: the dataset's id.
-        remote: the remote's address.
-        replaceable: ids of datasets that may be replaced.
-        done: ids of datasets that were pulled before. This function adds the ids that it pulls.
+    ``done`` has the ids that were pulled before. This function adds those that it pulls.
     """
     if dataset_id in done:
         return
@@ -123,7 +117,11 @@ def _pull_with_sources(
         outcomes = list(_download_and_check(store, dataset_id, remote, replaceable - done, folder, set()))
         for outcome in outcomes:
             if outcome.downloaded:
-                _commit_staged(folder, outcome.dataset_id, outcome.dataset_id in replaceable)
+                own = outcome.dataset_id
+                # Each is committed from a staging folder of its own, which keeps the replaced dataset.
+                with transactions.staging(own) as apart:
+                    staged = (folder / own).rename(apart / "dataset")
+                    transactions.commit(staged, own, replace=own in replaceable)
     outcomes = [outcome for outcome in outcomes if outcome.dataset_id not in done]
     done.update(outcome.dataset_id for outcome in outcomes)
     yield from outcomes
@@ -171,13 +169,6 @@ def _download_and_check(
         )
     digest = str(stated.get("content_sha256", ""))
     yield Pulled(dataset_id, remote, target, True, digest, same, time.monotonic() - start)
-
-
-def _commit_staged(folder: Path, dataset_id: str, replace: bool) -> None:
-    """Commit the dataset in ``folder`` from its own staging folder, which keeps the replaced one."""
-    with transactions.staging(dataset_id) as apart:
-        staged = (folder / dataset_id).rename(apart / "dataset")
-        transactions.commit(staged, dataset_id, replace=replace)
 
 
 def _has_same_simulator(stated: dict[str, Any]) -> bool:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError, RemoteError
 from imujoco_minari.remotes.card import dataset_card, namespace_card
@@ -23,9 +23,10 @@ from imujoco_minari.remotes.stores import (
     parse_object,
     remote_errors,
 )
-from imujoco_minari.storage import minari_root
+from imujoco_minari.storage import minari_root, transactions
 from imujoco_minari.storage.file_format import file_sha256
 from imujoco_minari.storage.metadata import read_metadata, sources
+from imujoco_minari.storage.missing import not_in_root
 from imujoco_minari.verification import verify
 
 
@@ -88,12 +89,12 @@ def push(dataset_id: str, remote: str, *, token: str | None = None, force: bool 
 def push_all(
     dataset_ids: Sequence[str], remote: str, *, token: str | None = None, force: bool = False
 ) -> Iterator[Pushed]:
-    """Upload many datasets and yield each outcome when it is ready, failures included.
+    """Upload many datasets with their sources and yield each outcome when it is ready, failures included.
 
     Args:
         dataset_ids: the datasets.
-        remote: ``hf://user`` or ``gcp://bucket``.
-        token: a Hugging Face token, or the path of a service account's key file.
+        remote: as of :func:`push`.
+        token: as of :func:`push`.
         force: replace different datasets that have these ids on the remote.
 
     Raises:
@@ -103,36 +104,67 @@ def push_all(
         yield outcome
 
 
+def plan_push(dataset_ids: Sequence[str]) -> Iterator[Pushed]:
+    """Yield what :func:`push_all` would upload to an empty remote, with the sizes. No remote is asked."""
+    for outcome, _ in _each_part(dataset_ids, "", lambda part: Pushed(part, "", bytes=_size(part))):
+        yield outcome
+
+
+def collections_of(dataset_ids: Sequence[str]) -> list[str]:
+    """Return the ids of the collections in the Minari root that combine no other datasets than these."""
+    root = minari_root.datasets_root()
+    found = []
+    for file in sorted(root.glob(f"**/{METADATA_PATH}")):
+        combined = sources(read_metadata(file.parent))
+        if combined and transactions.STAGING not in file.parts and set(combined) <= set(dataset_ids):
+            found.append(file.parents[1].relative_to(root).as_posix())
+    return found
+
+
 def _push_each(
     dataset_ids: Sequence[str], remote: str, token: str | None, force: bool
 ) -> Iterator[tuple[Pushed, ImujocoError | None]]:
-    """Push datasets with their sources, and then update the cards, also after failures.
-
-    Yields:
-        Each outcome, and the error of a failure.
-    """
+    """Push datasets with their sources, and then update the cards, also after failures."""
     store = connect(remote, token=token, writing=True)
     uploaded: list[str] = []
+    replaceable = set(dataset_ids) if force else set[str]()
+    push_part = partial(_push_one, store=store, remote=remote, replaceable=replaceable)
+    for outcome, error in _each_part(dataset_ids, remote, push_part):
+        if outcome.uploaded:
+            uploaded.append(outcome.dataset_id)
+        yield outcome, error
+    _update_cards(store, remote, uploaded)
+
+
+def _each_part(
+    dataset_ids: Sequence[str], remote: str, act: Callable[[str], Pushed]
+) -> Iterator[tuple[Pushed, ImujocoError | None]]:
+    """Apply ``act`` once to each dataset and its sources. Yield each outcome, and the error of a failure."""
     done: set[str] = set()
     for dataset_id in dict.fromkeys(dataset_ids):
         try:
             for part in _sources_and_itself(dataset_id):
                 if part not in done:
-                    outcome = _push_one(store, part, remote, force and part in dataset_ids)
+                    outcome = act(part)
                     done.add(part)
-                    uploaded += [part] if outcome.uploaded else []
                     yield outcome, None
         except ImujocoError as error:
             yield Pushed(dataset_id, remote, error=str(error), missing=error.missing), error
-    _update_cards(store, remote, uploaded)
+
+
+def _size(dataset_id: str) -> int:
+    """Return the size of the files of a dataset, in bytes."""
+    if not minari_root.exists(dataset_id):
+        raise not_in_root(dataset_id)
+    folder = minari_root.dataset_folder(dataset_id)
+    with minari_root.storage_errors(folder):
+        return sum((folder / name).stat().st_size for name in FILES)
 
 
 def _sources_and_itself(dataset_id: str, around: AbstractSet[str] = frozenset()) -> list[str]:
     """Return the sources of a dataset, which Minari downloads with it, and then the dataset.
 
-    Args:
-        dataset_id: the dataset.
-        around: ids of collections that contain it. They are left out, so a cycle ends.
+    The collections ``around`` it are left out, so a cycle ends.
     """
     # The check of the dataset follows and reports metadata that cannot be read.
     combined = sources(read_metadata(minari_root.dataset_folder(dataset_id) / "data"))
@@ -141,22 +173,23 @@ def _sources_and_itself(dataset_id: str, around: AbstractSet[str] = frozenset())
     return list(dict.fromkeys([*parts, dataset_id]))
 
 
-def _push_one(store: Store, dataset_id: str, remote: str, force: bool) -> Pushed:
+def _push_one(dataset_id: str, store: Store, remote: str, replaceable: AbstractSet[str]) -> Pushed:
     start = time.monotonic()
     findings = verify(dataset_id, replay=False)
     if findings:
         raise DatasetError(f"{dataset_id}: not pushed, because its check found: {findings[0]}")
     folder = minari_root.dataset_folder(dataset_id)
     ours = read_metadata(folder / "data")
-    size = sum((folder / name).stat().st_size for name in FILES)
+    size = _size(dataset_id)
     digest = str(ours.get("content_sha256", ""))
     with remote_errors(remote):
         theirs = metadata(store, dataset_id)
         if theirs == ours and store.holds(dataset_id):
             return Pushed(dataset_id, remote, False, size, digest, time.monotonic() - start)
-        if theirs is not None and theirs != ours and not force:
+        if theirs is not None and theirs != ours and dataset_id not in replaceable:
+            made, content = theirs.get("code_permalink", "unknown"), str(theirs.get("content_sha256"))[:12]
             raise DatasetExistsError(
-                f"{remote} has another {dataset_id}, made with {_describe_content(theirs)}; "
+                f"{remote} has another {dataset_id}, made with {made} with content {content}; "
                 f"it was not replaced (`imujoco push {dataset_id} --force` replaces it)"
             )
         for namespace in namespaces(dataset_id):
@@ -165,12 +198,6 @@ def _push_one(store: Store, dataset_id: str, remote: str, force: bool) -> Pushed
         store.upload_dataset(dataset_id, dataset_card(folder / "data", remote))
         _check_upload(store, dataset_id, folder, remote)
     return Pushed(dataset_id, remote, True, size, digest, time.monotonic() - start)
-
-
-def _describe_content(metadata: dict[str, Any]) -> str:
-    return (
-        f"{metadata.get('code_permalink', 'unknown')} with content {str(metadata.get('content_sha256'))[:12]}"
-    )
 
 
 def _check_upload(store: Store, dataset_id: str, folder: Path, remote: str) -> None:
@@ -191,9 +218,7 @@ def _update_cards(store: Store, remote: str, dataset_ids: Sequence[str]) -> None
         return
     for namespace in dict.fromkeys(namespaces(dataset_id)[0] for dataset_id in dataset_ids):
         with remote_errors(remote):
-            files = {
-                dataset_id: store.read(f"{dataset_id}/{METADATA_PATH}")
-                for dataset_id in sorted(store.list_datasets(prefix=f"{namespace}/"))
-            }
+            listed = sorted(store.list_datasets(prefix=f"{namespace}/"))
+            files = {name: store.read(f"{name}/{METADATA_PATH}") for name in listed}
             found = {name: parse_object(data, name) for name, data in files.items() if data is not None}
             store.upload_card(namespace, namespace_card(namespace, remote, found))

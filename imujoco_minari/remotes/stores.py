@@ -63,11 +63,7 @@ def metadata(store: Store, dataset_id: str) -> dict[str, Any] | None:
 
 
 def parse_object(data: bytes, name: str) -> dict[str, Any]:
-    """Return the JSON object in the content of a remote file.
-
-    Args:
-        data: content of the file.
-        name: name of the file in the message of an error.
+    """Return the JSON object in the content of a remote file; an error names the file ``name``.
 
     Raises:
         RemoteError: if the content is not a JSON object.
@@ -82,11 +78,7 @@ def parse_object(data: bytes, name: str) -> dict[str, Any]:
 
 
 def registered_ids(data: bytes, name: str) -> list[str]:
-    """Return the dataset ids that the metadata of a namespace registers.
-
-    Args:
-        data: content of the file.
-        name: name of the file in the message of an error.
+    """Return the dataset ids that the metadata of a namespace registers; an error names the file ``name``.
 
     Raises:
         RemoteError: if the content is not such metadata.
@@ -128,7 +120,8 @@ _REASONS: Mapping[int, str] = {
 
 
 def _explain_error(address: str, error: Exception) -> str:
-    status = _http_status(error)
+    # google.api_core states the HTTP status as the code of an error, huggingface_hub in its response.
+    status = getattr(error, "code", None) or getattr(getattr(error, "response", None), "status_code", None)
     if status == 404:
         return (
             "no such bucket; create it first, for example with `gcloud storage buckets create gs://<bucket>`"
@@ -137,15 +130,8 @@ def _explain_error(address: str, error: Exception) -> str:
         )
     lines = str(error).strip().splitlines()
     summary = f"{type(error).__name__}: {lines[0][:200]}" if lines else type(error).__name__
-    if status is not None and status in _REASONS:
+    if isinstance(status, int) and status in _REASONS:
         return f"{_REASONS[status]} ({summary})"
     if any("connect" in type(each).__name__.lower() for each in (error, error.__cause__)):
         return f"cannot be reached ({summary})"
     return summary
-
-
-def _http_status(error: Exception) -> int | None:
-    """Return the HTTP status behind an error of ``google.api_core`` or ``huggingface_hub``."""
-    response = getattr(error, "response", None)
-    status = getattr(error, "code", None) or getattr(response, "status_code", None)
-    return int(status) if isinstance(status, int) else None

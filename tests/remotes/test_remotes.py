@@ -321,6 +321,30 @@ def test_a_batch_goes_on_past_a_failure_and_names_it(
     assert json.loads(capsys.readouterr().out)[0]["downloaded"] is False
 
 
+def test_a_dry_run_says_what_a_push_would_upload_and_uploads_nothing(
+    store: FolderStore, root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["push", LINKED, "--dry-run", "--json"]) == 0
+    planned = {each["dataset_id"]: each["bytes"] for each in json.loads(capsys.readouterr().out)}
+    assert planned == {name: sum(map(len, files(root, name).values())) for name in (HOPPER, BASE, LINKED)}
+    assert run(["push", "imujoco/nothing-v0", HOPPER, "--dry-run"]) == 2
+    output = capsys.readouterr()
+    assert output.err.startswith("2 datasets: ")
+    assert f"would push {HOPPER}: " in output.out
+    assert "imujoco/nothing-v0 is not in the Minari root" in output.err
+    assert store.uploads == []
+
+
+def test_collections_come_along_if_nothing_else_is_in_them(store: FolderStore) -> None:
+    assert remotes.collections_of([HOPPER]) == []
+    assert remotes.collections_of([HOPPER, BASE]) == [LINKED]
+    filters = ["--robot", "hopper", "--with-base", "--tier", "random"]
+    assert run(["push", *filters, "--with-collections", "--remote", REMOTE]) == 0
+    assert sorted(store.list_datasets()) == sorted([HOPPER, BASE, LINKED])
+    card_of = store.folder / LINKED / stores.CARD
+    assert "combined from | 2 datasets" in card_of.read_text()
+
+
 @pytest.mark.parametrize("address", ["bucket", "s3://bucket", "hf://", "gcp://a/b", "hf://user\n"])
 def test_a_malformed_address_is_told(address: str) -> None:
     with pytest.raises(RemoteError, match=r"malformed remote .*valid: hf://<user> or gcp://<bucket>"):
