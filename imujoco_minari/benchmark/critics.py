@@ -64,10 +64,10 @@ def critic_error(critics: tuple[Network, Network], observations: Any, actions: A
 def run_updates(
     algorithm: Any, update_of: Callable[[Any], Update], state: Any, data: tuple[Any, ...]
 ) -> dict[int, Any]:
-    """Return the state at each checkpoint of an algorithm.
+    """Return the state at each checkpoint of an algorithm, a dataclass with ``seed`` and ``checkpoints``.
 
     Args:
-        algorithm: a dataclass with ``seed`` and ``checkpoints``.
+        algorithm: the algorithm.
         update_of: returns the update of an algorithm's settings.
         state: the state before the first update.
         data: the data of :func:`transition_data`.
@@ -75,8 +75,3 @@ def run_updates(
     # All seeds use one compiled program.
     update = update_of(replace(algorithm, seed=0, checkpoints=()))
     return iterate(update, state, data, algorithm.checkpoints, algorithm.seed)
-
-
-def follow(target: Any, network: Any, share: float) -> Any:
-    """Return the target network, moved towards the network by a share of the way."""
-    return import_jax().tree.map(lambda old, new: old + share * (new - old), target, network)

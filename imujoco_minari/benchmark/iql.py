@@ -12,7 +12,6 @@ from imujoco_minari.benchmark.cloning import robust_statistics
 from imujoco_minari.benchmark.critics import (
     critic_error,
     draw_transitions,
-    follow,
     new_critics,
     run_updates,
     transition_data,
@@ -22,9 +21,10 @@ from imujoco_minari.benchmark.networks import (
     HIDDEN,
     Initial,
     Update,
-    adam,
     forward,
-    minimise,
+    import_optax,
+    learner,
+    minimised,
     new_network,
     new_policy,
     to_actor,
@@ -67,55 +67,53 @@ class Iql:
         statistics = robust_statistics(data.observations)
         observation, action = data.observations.shape[1], data.actions.shape[1]
         policy = new_policy(data.observations, data.actions, self.seed, self.initial)
-        actor = (policy, np.zeros(action, np.float32))
+        actor = {"network": policy, "log_std": np.zeros(action, np.float32)}
         critics = new_critics(observation, action, self.seed, self.initial)
         value = new_network((observation, *HIDDEN, 1), self.seed + 3000, self.initial)
-        moments = tuple(adam().init(part) for part in (actor, critics, value))
         # As in the paper: the returns of the episodes span 1000.
         spread = float(np.ptp(data.returns))
         scaled = transition_data(data, statistics, 1000.0 / spread if spread else 1.0)
-        state = (np.int32(0), np.int32(max(self.checkpoints)), actor, critics, critics, value, moments)
+        state = (
+            learner(actor, self.rate, decay_steps=max(self.checkpoints)),
+            learner(critics, self.rate),
+            learner(value, self.rate),
+            critics,
+        )
         states = run_updates(self, _update, state, scaled)
-        return {updates: to_actor(state[2][0], statistics, "IQL") for updates, state in states.items()}
+        return {
+            updates: to_actor(actor.params["network"], statistics, "IQL")
+            for updates, (actor, *_) in states.items()
+        }
 
 
 @cache
 def _update(settings: Iql) -> Update:
-    jax = import_jax()
-    jnp = jax.numpy
+    jnp, optax = import_jax().numpy, import_optax()
 
     def update(state: Any, key: Any, data: Any) -> Any:
-        number, updates, actor, critics, target_critics, value, moments = state
-        actor_moments, critic_moments, value_moments = moments
+        actor, critics, value, target_critics = state
         observations, actions, rewards, following, ended = draw_transitions(key, data, settings.batch)
         least = jnp.minimum(*values(target_critics, observations, actions))
+        advantage = least - forward(value.params, observations)[:, 0]
 
-        def value_loss(value: Any) -> Any:
-            advantage = least - forward(value, observations)[:, 0]
+        def value_loss(network: Any) -> Any:
+            advantage = least - forward(network, observations)[:, 0]
             weight = jnp.where(advantage > 0, settings.expectile, 1.0 - settings.expectile)
             return (weight * advantage**2).mean()
 
-        next_values = forward(value, following)[:, 0]
-        advantage = least - forward(value, observations)[:, 0]
-        value, value_moments = minimise(value_loss, value, value_moments, settings.rate)
+        next_values = forward(value.params, following)[:, 0]
         target = rewards + settings.discount * (1.0 - ended) * next_values
-
-        def critic_loss(critics: Any) -> Any:
-            return critic_error(critics, observations, actions, target)
-
-        critics, critic_moments = minimise(critic_loss, critics, critic_moments, settings.rate)
         weight = jnp.minimum(jnp.exp(settings.sharpness * advantage), settings.weight_limit)
 
-        def actor_loss(actor: Any) -> Any:
-            network, log_std = actor
-            log_std = jnp.clip(log_std, -5.0, 2.0)
-            error = (actions - jnp.tanh(forward(network, observations))) / jnp.exp(log_std)
+        def actor_loss(own: Any) -> Any:
+            log_std = jnp.clip(own["log_std"], -5.0, 2.0)
+            error = (actions - jnp.tanh(forward(own["network"], observations))) / jnp.exp(log_std)
             return (weight * (0.5 * error**2 + log_std).sum(axis=-1)).mean()
 
-        rate = settings.rate * 0.5 * (1.0 + jnp.cos(jnp.pi * number / updates))
-        actor, actor_moments = minimise(actor_loss, actor, actor_moments, rate)
-        target_critics = follow(target_critics, critics, settings.follow_share)
-        moments = (actor_moments, critic_moments, value_moments)
-        return number + 1, updates, actor, critics, target_critics, value, moments
+        actor = minimised(actor, actor_loss)
+        critics = minimised(critics, lambda own: critic_error(own, observations, actions, target))
+        value = minimised(value, value_loss)
+        target_critics = optax.incremental_update(critics.params, target_critics, settings.follow_share)
+        return actor, critics, value, target_critics
 
     return update

@@ -18,7 +18,8 @@ from imujoco_minari.benchmark.networks import (
     Loss,
     Network,
     descend,
-    draw_rows,
+    draw_variants,
+    gradient_step,
     new_policy,
     padded,
     squared_error,
@@ -81,17 +82,14 @@ def meta_loss(tasks: int, rows: int, inner_steps: int) -> Loss:
 
     def loss(network: Network, key: Any, data: tuple[Any, ...]) -> Any:
         inputs, actions, starts, counts, inner_rate = data
-        which, where = jax.random.split(key)
-        chosen = jax.random.randint(which, (tasks,), 0, len(starts))
-        drawn = draw_rows(where, starts[chosen], counts[chosen], 2 * rows)
+        _, drawn = draw_variants(key, starts, counts, tasks, 2 * rows)
 
         def after_adapting(support: Any, query: Any) -> Any:
             adapted = network
             for _ in range(inner_steps):
-                gradient = jax.grad(squared_error)(adapted, inputs[support], actions[support])
-                # First order: the change counts as a constant.
-                change = jax.lax.stop_gradient(gradient)
-                adapted = jax.tree.map(lambda old, g: old - inner_rate * g, adapted, change)
+                adapted = gradient_step(
+                    adapted, lambda own: squared_error(own, inputs[support], actions[support]), inner_rate
+                )
             return squared_error(adapted, inputs[query], actions[query])
 
         return jax.vmap(after_adapting)(drawn[:, :rows], drawn[:, rows:]).mean()

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from imujoco_minari.benchmark import few_shot, offline, protocol
-from imujoco_minari.benchmark.lines import Line
+from imujoco_minari.benchmark.lines import Line, expanded
 from imujoco_minari.errors import BenchmarkError, clipped
 from imujoco_minari.variants import EXPERT, HeldOut, held_out
 
@@ -76,9 +76,10 @@ def check_submission(folder: Path) -> list[str]:
         first: dict[str, int] = {}
         shape = few_shot_fault if file.name == few_shot.FILE else offline_fault
         try:
+            facts: dict[str, Line] = {}
             for number, text in _texts(file):
-                line = _parsed(text)
-                found = ["not a JSON object"] if line is None else shape(line)
+                line, found = _parsed(text, facts)
+                found += [] if line is None else shape(line)
                 if line is not None and not found:
                     kept = {key: line[key] for key in _KEPT if key in line}
                     lines.append(kept | {"results": sorted(line["results"])})
@@ -122,13 +123,17 @@ def _texts(file: Path) -> Iterator[tuple[int, bytes]]:
             yield number, text
 
 
-def _parsed(text: bytes) -> Mapping[str, Any] | None:
+def _parsed(text: bytes, facts: dict[str, Line]) -> tuple[Line | None, list[str]]:
+    """Return the line of an entry, if it has one, and its faults."""
     try:
-        line = json.loads(text)
+        entry = json.loads(text)
     # Deep nesting exhausts the stack.
     except (ValueError, RecursionError):
-        return None
-    return line if isinstance(line, dict) else None
+        return None, ["not a JSON object"]
+    try:
+        return expanded(entry, facts), []
+    except ValueError as error:
+        return None, [str(error)]
 
 
 def few_shot_fault(line: Mapping[str, Any]) -> list[str]:

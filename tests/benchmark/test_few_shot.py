@@ -14,6 +14,7 @@ import pytest
 from imujoco_minari.benchmark.checks import changes
 from imujoco_minari.benchmark.cloning import BaseExpert, MultiVariant, Scratch
 from imujoco_minari.benchmark.few_shot import FILE, FewShotGrid, run_few_shot
+from imujoco_minari.benchmark.history import History
 from imujoco_minari.benchmark.lines import Line, append_lines, read_lines, run_lines
 from imujoco_minari.benchmark.maml import Maml
 from imujoco_minari.benchmark.methods import METHODS, NewMethod, find_method
@@ -36,6 +37,7 @@ TINY: Mapping[str, NewMethod] = {
     "told": partial(MultiVariant, fit_steps=2, told=True),
     "maml": partial(Maml, fit_steps=2, tasks=2, rows=4, steps=STEPS),
     "set-encoder": partial(SetEncoder, fit_steps=2, tasks=2, rows=4),
+    "history": partial(History, fit_steps=2, steps=STEPS, window=4, units=8, sequences=2),
 }
 
 
@@ -53,7 +55,7 @@ def test_one_tiny_cell_of_each_method(tmp_path: Path) -> None:
     lines = {line["method"]: line for line in run_few_shot(tiny_grid(), tmp_path)}
     assert set(lines) == set(METHODS)
     steps = {"scratch": ["1", "3"]} | {
-        name: ["0", "1", "3"] for name in ("base-expert", "multi-variant", "maml")
+        name: ["0", "1", "3"] for name in ("base-expert", "multi-variant", "maml", "history")
     }
     for name, line in lines.items():
         assert list(line["results"]) == steps.get(name, ["0"])
@@ -61,6 +63,7 @@ def test_one_tiny_cell_of_each_method(tmp_path: Path) -> None:
             assert len(result["returns"]) == 2
     # Experts and random policies score as such, whatever is demonstrated.
     assert lines["expert"]["results"]["0"]["returns"][0] > 2000
+    assert lines["universal"]["results"]["0"]["returns"][0] > 2000
     assert lines["random"]["results"]["0"]["returns"][0] < 200
 
 
