@@ -1,8 +1,8 @@
 """ReBRAC and CQL of d3rlpy as algorithms of the offline benchmark: d3rlpy trains, this package does the rest.
 
 d3rlpy 2.8.1 pins Gymnasium 1.0.0, so it has a virtual environment of its own, whose Python the variable
-D3RLPY_PYTHON names (`scripts/test-interop d3rlpy` makes .interop/d3rlpy). It gets the data as a file and saves
-its policies as TorchScript. This package reads, evaluates and writes lines like all others:
+D3RLPY_PYTHON names (`scripts/test-interop d3rlpy` makes .interop/d3rlpy). It gets the data as a file and
+saves its policies as TorchScript. This package reads, evaluates and writes lines like all others:
 
     D3RLPY_PYTHON=.interop/d3rlpy/bin/python imujoco benchmark offline \\
         --method scripts.offline_d3rlpy:Rebrac --output docs/results/others/rebrac-d3rlpy

@@ -4,86 +4,62 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from imujoco_minari.benchmark.cloning import robust_statistics
-from imujoco_minari.benchmark.critics import (
-    critic_error,
-    draw_transitions,
-    new_critics,
-    run_updates,
-    transition_data,
-    values,
-)
+from imujoco_minari.benchmark.critics import ActorCritic, critic_error, draw_transitions, values
 from imujoco_minari.benchmark.networks import (
     HIDDEN,
-    Initial,
+    Network,
     Update,
     forward,
     import_optax,
     learner,
     minimised,
     new_network,
-    new_policy,
-    to_actor,
 )
 from imujoco_minari.loading import Arrays
-from imujoco_minari.policies import Actor
 from imujoco_minari.training.agents import import_jax
 
 
 @dataclass(frozen=True)
-class Iql:
+class Iql(ActorCritic):
     """Implicit Q-learning with the paper's hyperparameters for locomotion, but half its batch.
 
+    The rate of the actor falls by a cosine, to 0 at the last checkpoint.
+
     Attributes:
-        seed: seed of the weights and of the batches.
-        checkpoints: numbers of updates after which the policy is kept.
-        rate: learning rate; that of the actor falls by a cosine, to 0 at the last checkpoint.
-        batch: rows of a batch.
-        discount: discount factor.
-        follow_share: share by which the target critics follow at each update.
         expectile: expectile of the critics' values that the state value learns.
         sharpness: factor of the advantage in the exponent of an action's weight.
         weight_limit: largest weight of an action.
-        initial: distribution of the initial weights.
     """
 
-    seed: int
-    checkpoints: tuple[int, ...]
-    rate: float = 3e-4
-    batch: int = 128
-    discount: float = 0.99
-    follow_share: float = 0.005
     expectile: float = 0.7
     sharpness: float = 3.0
     weight_limit: float = 100.0
-    initial: Initial = "pytorch"
+    name: ClassVar[str] = "IQL"
 
-    def train(self, data: Arrays) -> dict[int, Actor]:
-        """Return the policy at each checkpoint."""
-        statistics = robust_statistics(data.observations)
-        observation, action = data.observations.shape[1], data.actions.shape[1]
-        policy = new_policy(data.observations, data.actions, self.seed, self.initial)
-        actor = {"network": policy, "log_std": np.zeros(action, np.float32)}
-        critics = new_critics(observation, action, self.seed, self.initial)
-        value = new_network((observation, *HIDDEN, 1), self.seed + 3000, self.initial)
-        # As in the paper: the returns of the episodes span 1000.
+    def reward_scale(self, data: Arrays) -> float:
+        """Return the factor with which the returns of the episodes span 1000, as in the paper."""
         spread = float(np.ptp(data.returns))
-        scaled = transition_data(data, statistics, 1000.0 / spread if spread else 1.0)
-        state = (
+        return 1000.0 / spread if spread else 1.0
+
+    def first_state(self, policy: Network, critics: Any) -> Any:
+        """Return actor, critics and state value, and the critics that follow."""
+        observation, action = len(policy[0][0]), len(policy[-1][1])
+        actor = {"network": policy, "log_std": np.zeros(action, np.float32)}
+        value = new_network((observation, *HIDDEN, 1), self.seed + 3000, self.initial)
+        return (
             learner(actor, self.rate, decay_steps=max(self.checkpoints)),
             learner(critics, self.rate),
             learner(value, self.rate),
             critics,
         )
-        states = run_updates(self, _update, state, scaled)
-        return {
-            updates: to_actor(actor.params["network"], statistics, "IQL")
-            for updates, (actor, *_) in states.items()
-        }
+
+    def update(self) -> Update:
+        """Return the update of the state."""
+        return _update(self)
 
 
 @cache

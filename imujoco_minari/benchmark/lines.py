@@ -133,7 +133,7 @@ def _facts(line: Line) -> dict[str, Line]:
 
 def identity(line: Line) -> str:
     """Return the identity of a line as text: all of it but the measured entries."""
-    return json.dumps({key: line[key] for key in sorted(line) if key not in _MEASURED})
+    return json.dumps({key: line[key] for key in line if key not in _MEASURED}, sort_keys=True)
 
 
 def run_lines(

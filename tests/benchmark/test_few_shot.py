@@ -22,6 +22,7 @@ from imujoco_minari.benchmark.protocol import Budget
 from imujoco_minari.benchmark.set_encoder import SetEncoder
 from imujoco_minari.errors import BenchmarkError, StorageError
 from imujoco_minari.loading import Arrays
+from imujoco_minari.policies import random_policy
 from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.variants import HeldOut
 
@@ -109,6 +110,22 @@ def test_a_changed_dataset_or_setting_no_longer_matches(tmp_path: Path) -> None:
     run_few_shot(tiny_grid("random", "expert"), tmp_path, on_cells=advanced.append)
     assert advanced == [0, 1, 1]
     assert len(read_lines(tmp_path / FILE)) == 4
+
+
+@pytest.mark.usefixtures("small_datasets")
+def test_demonstrations_of_another_tier_leave_the_training_data(tmp_path: Path) -> None:
+    publish("hopper-frictiondec_50_feet", tier="control", episodes=4, seed=9, policy=random_policy("hopper"))
+    usual = run_few_shot(tiny_grid("multi-variant"), tmp_path)[0]
+    other = run_few_shot(tiny_grid("multi-variant", demonstrations="control"), tmp_path)[0]
+    assert (other["tier"], other["train_tier"]) == ("control", "random")
+    assert "train_tier" not in usual
+    assert other["train_sha256"] == usual["train_sha256"]
+    assert other["data_sha256"] != usual["data_sha256"]
+    # The same policy before the first step, and another after it.
+    returns = [[line["results"][steps]["returns"] for steps in ("0", "3")] for line in (usual, other)]
+    assert returns[0][0] == returns[1][0]
+    assert returns[0][1] != returns[1][1]
+    assert changes([usual, other]) == []
 
 
 @pytest.mark.usefixtures("small_datasets")
