@@ -7,16 +7,15 @@ the state of the GRU. Both are cloned together from all training variants.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache, cached_property
 from hashlib import sha256
 from typing import Any
 
 import numpy as np
 
-from imujoco_minari.benchmark.cloning import robust_statistics
+from imujoco_minari.benchmark.cloning import Pretrained, robust_statistics
 from imujoco_minari.benchmark.networks import HIDDEN, Loss, descend, forward, new_network, padded
-from imujoco_minari.benchmark.protocol import STEPS
 from imujoco_minari.loading import Arrays, Statistics
 from imujoco_minari.policies import LANES, Array
 from imujoco_minari.training.agents import import_jax
@@ -26,30 +25,18 @@ _ROWS = 512
 
 
 @dataclass
-class History:
+class History(Pretrained):
     """One policy with a memory of its last steps, cloned from all training variants, then fine-tuned.
 
     Attributes:
-        seed: seed of the weights and of the batches.
-        rate: learning rate of the fine-tuning.
-        fit_rate: learning rate on the training variants.
-        fit_steps: steps on the training variants.
-        steps: numbers of steps of the fine-tuning after which it returns the policy.
         window: number of transitions that it remembers.
         units: length of the GRU's state.
         sequences: sequences of a batch. Each has ``window + 1`` steps, which are all imitated.
     """
 
-    seed: int = 0
-    rate: float = 3e-4
-    fit_rate: float = 1e-3
-    fit_steps: int = 20_000
-    steps: tuple[int, ...] = STEPS
     window: int = 32
     units: int = 64
     sequences: int = 8
-    _networks: Any = field(default=None, init=False, repr=False)
-    _statistics: Statistics | None = field(default=None, init=False, repr=False)
 
     def fit(self, train: Arrays) -> None:
         """Clone the behaviour of all training variants."""
@@ -62,18 +49,16 @@ class History:
             "gru": cell.init(jax.random.key(self.seed), state, step),
             "policy": new_network((observation + self.units, *HIDDEN, action), self.seed),
         }
-        self._networks = self._clone(networks, train, [self.fit_steps], self.fit_rate)[self.fit_steps]
+        self._network = self._clone(networks, train, [self.fit_steps], self.fit_rate)[self.fit_steps]
 
     def adapt(self, demonstrations: Arrays) -> Mapping[int, HistoryPolicy]:
         """Return the policies after each number of steps on the demonstrations."""
-        assert self._statistics is not None
-        found = self._clone(self._networks, demonstrations, self.steps, self.rate)
+        found = self._clone(self._network, demonstrations, self.steps, self.rate)
         return {
             steps: HistoryPolicy(networks, self._statistics, self.window) for steps, networks in found.items()
         }
 
     def _clone(self, networks: Any, data: Arrays, steps: Sequence[int], rate: float) -> dict[int, Any]:
-        assert self._statistics is not None
         last = np.repeat(data.episode_ends - 1, data.episode_lengths)
         columns = (self._statistics.normalize(data.observations), data.actions)
         padded_last = np.pad(last, (0, len(padded(last)) - len(last))).astype(np.int32)

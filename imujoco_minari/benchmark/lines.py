@@ -107,7 +107,7 @@ def append_lines(path: Path, lines: Sequence[Line], stated: set[str] | None = No
     for line in lines:
         facts = _facts(line)
         entries += ({"name": name, "facts": facts[name]} for name in facts if name not in stated)
-        stated |= facts.keys()
+        stated.update(facts)
         entries.append({"facts": list(facts), **{key: line[key] for key in _OWN if key in line}})
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -6,14 +6,13 @@ variant; the gradient of the copy's loss on other rows of that variant moves the
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
 import numpy as np
 
-from imujoco_minari.benchmark.cloning import fine_tune, robust_statistics
+from imujoco_minari.benchmark.cloning import Pretrained, robust_statistics
 from imujoco_minari.benchmark.networks import (
     Loss,
     Network,
@@ -24,39 +23,27 @@ from imujoco_minari.benchmark.networks import (
     padded,
     squared_error,
 )
-from imujoco_minari.benchmark.protocol import STEPS
-from imujoco_minari.loading import Arrays, Statistics
-from imujoco_minari.policies import Actor
+from imujoco_minari.loading import Arrays
 from imujoco_minari.training.agents import import_jax
 
 
 @dataclass
-class Maml:
+class Maml(Pretrained):
     """First-order MAML, adapted as the other methods are: by Adam on the demonstrations.
 
     Attributes:
-        seed: seed of the weights and of the batches.
-        rate: learning rate of the adaptation.
-        steps: numbers of steps of the adaptation after which it returns the policy.
         inner_rate: learning rate of the copies' steps, which are plain gradient descent.
         inner_steps: number of the copies' steps.
-        fit_rate: learning rate of the initial weights.
-        fit_steps: number of steps of the initial weights.
         tasks: training variants in each step.
         rows: rows of a variant for the copy's steps, and as many others for its loss.
     """
 
-    seed: int = 0
-    rate: float = 3e-4
-    steps: tuple[int, ...] = STEPS
-    inner_rate: float = 0.1
-    inner_steps: int = 3
     fit_rate: float = 5e-4
     fit_steps: int = 5_000
+    inner_rate: float = 0.1
+    inner_steps: int = 3
     tasks: int = 8
     rows: int = 64
-    _network: Network = field(default_factory=list, init=False, repr=False)
-    _statistics: Statistics | None = field(default=None, init=False, repr=False)
 
     def fit(self, train: Arrays) -> None:
         """Find initial weights on the training variants."""
@@ -68,11 +55,6 @@ class Maml:
         data = (padded(inputs), padded(train.actions), starts, counts, np.float32(self.inner_rate))
         steps = self.fit_steps
         self._network = descend(loss, network, data, [steps], rate=self.fit_rate, seed=self.seed)[steps]
-
-    def adapt(self, demonstrations: Arrays) -> Mapping[int, Actor]:
-        """Return the policies after each number of steps on the demonstrations."""
-        assert self._statistics is not None
-        return fine_tune(self._network, self._statistics, demonstrations, self.rate, self.seed, self.steps)
 
 
 @cache
