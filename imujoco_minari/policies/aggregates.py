@@ -47,11 +47,9 @@ def bootstrap_interval(values: ArrayLike, *, seed: int = 0, tasks: bool = False)
     count, width = rows.shape
     means = []
     for size in [100] * (RESAMPLES // 100):
-        sample = rows[rng.integers(count, size=(size, count))]
-        if tasks:
-            drawn = rng.integers(width, size=(size, 1, width))
-            sample = np.take_along_axis(sample, drawn, axis=2)
-        means.append(_interquartile_means(sample.reshape(size, -1)))
+        runs = rng.integers(count, size=(size, count))[:, :, None]
+        columns = rng.integers(width, size=(size, 1, width)) if tasks else np.arange(width)
+        means.append(_interquartile_means(rows[runs, columns].reshape(size, -1)))
     low, high = np.quantile(np.concatenate(means), [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
     return float(low), float(high)
 
