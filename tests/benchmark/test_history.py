@@ -16,9 +16,9 @@ from imujoco_minari.loading import Arrays
 @pytest.fixture(scope="module")
 def hidden() -> Arrays:
     """In each episode the action is always 0.5 or always -0.5, which no observation shows."""
-    data = synthetic([12] * 20)
+    data = synthetic([12] * 400)
     rng = np.random.default_rng(0)
-    sign = np.repeat(np.where(np.arange(20) % 2, 0.5, -0.5), 12)
+    sign = np.repeat(np.where(np.arange(400) % 2, 0.5, -0.5), 12)
     actions = np.repeat(sign[:, None], data.actions.shape[1], axis=1).astype(np.float32)
     observations = rng.normal(size=data.observations.shape).astype(np.float32)
     return replace(data, observations=observations, actions=actions)
@@ -33,18 +33,18 @@ def trained(data: Arrays, fit_steps: int) -> HistoryPolicy:
 
 
 def test_the_body_is_inferred_from_the_last_steps(hidden: Arrays) -> None:
-    policy = trained(hidden, 600)
-    error = np.abs(policy.actions_of(hidden) - hidden.actions).max(axis=1)
-    first = np.isin(np.arange(len(hidden)), hidden.episode_starts)
+    policy, others = trained(hidden.select(np.arange(300)), 600), hidden.select(np.arange(300, 400))
+    error = np.abs(policy.actions_of(others) - others.actions).max(axis=1)
+    first = np.isin(np.arange(len(others)), others.episode_starts)
     # Nothing tells the first action of an episode.
     assert error[first].mean() > 0.3
-    assert error[~first].mean() < 0.05
-    assert relative_error(policy, hidden) < 0.4
+    assert error[~first].mean() < 0.1
+    assert relative_error(policy, others) < 0.5
 
 
 def test_acting_step_by_step_equals_acting_on_whole_episodes(hidden: Arrays) -> None:
     """The policy remembers its own actions: here they are those of the data that it is then given."""
-    policy = trained(hidden, 2)
+    policy = trained(hidden.select(np.arange(20)), 2)
     data = hidden.select(np.array([0, 1, 2]))
     rngs = [np.random.default_rng(0) for _ in range(3)]
     acted = np.array([policy.act_together(data.observations[step::12], rngs) for step in range(12)])
