@@ -100,7 +100,7 @@ def test_the_best_episodes_are_chosen_by_their_returns() -> None:
 def test_one_tiny_cell_of_each_algorithm(
     monkeypatch: pytest.MonkeyPatch, small_datasets: list[str], tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("imujoco_minari.benchmark.offline.TIERS", ("random",))
+    monkeypatch.setattr("imujoco_minari.benchmark.offline.ALL_TIERS", ("random",))
     monkeypatch.setattr("imujoco_minari.benchmark.offline.SHIFTED_TIER", "random")
     grid = OfflineGrid(robots=["hopper"], tiers=["random"], seeds=[0], updates=2, episodes=1)
     advanced: list[int] = []
