@@ -32,9 +32,9 @@ FILE = "few-shot.jsonl"
 CELL = ("protocol", "method", "split", "tier", "variant", "budget", "seed")
 
 # Measured on one busy core.
-SECONDS_PER_CELL = {"set-encoder": 0.6} | dict.fromkeys(COMPARISONS, 1.0)
+SECONDS_PER_CELL = {"set-encoder": 0.6, "history": 12.0} | dict.fromkeys(COMPARISONS, 1.0)
 SECONDS_PER_ADAPTED_CELL = 4.0
-SECONDS_PER_FIT = {"multi-variant": 40.0, "told": 40.0, "maml": 65.0, "set-encoder": 30.0}
+SECONDS_PER_FIT = {"multi-variant": 40.0, "told": 40.0, "maml": 65.0, "set-encoder": 30.0, "history": 40.0}
 
 
 @dataclass(frozen=True)
