@@ -8,6 +8,7 @@ from dataclasses import asdict
 from functools import cache
 
 from imujoco_minari.benchmark import offline, reproduction
+from imujoco_minari.benchmark.few_shot import train_tier
 from imujoco_minari.benchmark.lines import Line, data_sha256, policies_sha256
 from imujoco_minari.benchmark.methods import METHODS, settings_of
 from imujoco_minari.errors import DatasetNotFoundError, VariantError
@@ -30,16 +31,19 @@ def _changes(line: Line) -> Iterator[str]:
         train, data = reproduction.published_split()
         yield from _data(train, line["train_sha256"])
         settings = asdict(reproduction.DEFAULT)
-    elif line["protocol"] == offline.NAME:
+    elif line["protocol"] in (offline.NAME, offline.ACROSS):
         variants = tuple(map(Variant.parse, line["variants"]))
-        data = [variants[0].dataset_id(line["tier"])]
-        settings = offline.algorithm_settings(method) if method in offline.ALGORITHMS else None
+        across = line["protocol"] == offline.ACROSS
+        learnt, _ = offline.OfflineGrid(across=across, tiers=()).variants(line["robot"], line["tier"])
+        data = [variant.dataset_id(line["tier"]) for variant in learnt]
+        known = offline.ACROSS_ALGORITHMS if across else offline.ALGORITHMS
+        settings = offline.algorithm_settings(known[method]) if method in known else None
     else:
         variant = Variant.parse(line["variant"])
         variants, data = (variant.base, variant), [variant.dataset_id(line["tier"])]
         settings = settings_of(METHODS[method](0)) if method in METHODS else None
         if line["train_sha256"]:
-            yield from _data(_train(line["split"], line["tier"]), line["train_sha256"])
+            yield from _data(_train(line["split"], train_tier(line)), line["train_sha256"])
     yield from _data(data, line["data_sha256"])
     if variants and policies_sha256(variants) != line["policies_sha256"]:
         yield f"the expert of {' or '.join(map(str, variants))} has changed"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -67,8 +68,8 @@ class BaseExpert:
 
 
 @dataclass
-class MultiVariant:
-    """One policy cloned from all training variants: as it is after 0 steps, then fine-tuned.
+class Pretrained:
+    """A network that ``fit`` learns from the training variants, and ``adapt`` fine-tunes.
 
     Attributes:
         seed: seed of the weights and of the batches.
@@ -76,7 +77,6 @@ class MultiVariant:
         fit_rate: learning rate on the training variants.
         fit_steps: steps on the training variants.
         steps: numbers of steps of the fine-tuning after which it returns the policy.
-        told: give the policy the variant's context beside the observation. Such a policy is not fine-tuned.
     """
 
     seed: int = 0
@@ -84,9 +84,23 @@ class MultiVariant:
     fit_rate: float = 1e-3
     fit_steps: int = 20_000
     steps: tuple[int, ...] = STEPS
+    _network: Any = field(default=None, init=False, repr=False)
+    _statistics: Any = field(default=None, init=False, repr=False)
+
+    def adapt(self, demonstrations: Arrays) -> Mapping[int, Any]:
+        """Return the policies after each number of steps on the demonstrations."""
+        return fine_tune(self._network, self._statistics, demonstrations, self.rate, self.seed, self.steps)
+
+
+@dataclass
+class MultiVariant(Pretrained):
+    """One policy cloned from all training variants: as it is after 0 steps, then fine-tuned.
+
+    Attributes:
+        told: give the policy the variant's context beside the observation. Such a policy is not fine-tuned.
+    """
+
     told: bool = False
-    _network: Network = field(default_factory=list, init=False, repr=False)
-    _statistics: Statistics | None = field(default=None, init=False, repr=False)
 
     def fit(self, train: Arrays) -> None:
         """Clone the behaviour of all training variants."""
@@ -102,11 +116,10 @@ class MultiVariant:
 
     def adapt(self, demonstrations: Arrays) -> Mapping[int, Actor]:
         """Return the policies after each number of steps on the demonstrations."""
-        assert self._statistics is not None
-        if self.told:
-            network = bind(self._network, context_of(demonstrations.table[0]))
-            return {0: to_actor(network, self._statistics, "behaviour cloning")}
-        return fine_tune(self._network, self._statistics, demonstrations, self.rate, self.seed, self.steps)
+        if not self.told:
+            return super().adapt(demonstrations)
+        network = bind(self._network, context_of(demonstrations.table[0]))
+        return {0: to_actor(network, self._statistics, "behaviour cloning")}
 
 
 def fine_tune(

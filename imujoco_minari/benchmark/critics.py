@@ -1,13 +1,14 @@
-"""Shared by the offline algorithms with critics: their data, values, updates and target networks."""
+"""Shared by the offline algorithms with critics: their settings, data, values and training."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-from typing import Any
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import numpy as np
 
+from imujoco_minari.benchmark.cloning import robust_statistics
 from imujoco_minari.benchmark.networks import (
     HIDDEN,
     Initial,
@@ -16,67 +17,96 @@ from imujoco_minari.benchmark.networks import (
     forward,
     iterate,
     new_network,
+    new_policy,
     padded,
+    to_actor,
 )
-from imujoco_minari.loading import Arrays, Statistics
-from imujoco_minari.policies import Array
+from imujoco_minari.loading import Arrays
+from imujoco_minari.policies import Actor
 from imujoco_minari.training.agents import import_jax
 
+# Both critics.
+Critics = tuple[Network, Network]
 
-def transition_data(data: Arrays, statistics: Statistics, reward_scale: float = 1.0) -> tuple[Any, ...]:
-    """Return the padded columns of the data, with normalised observations, and the number of rows."""
-    columns: tuple[Array, ...] = (
-        statistics.normalize(data.observations),
-        data.actions,
-        data.rewards * reward_scale,
-        statistics.normalize(data.next_observations),
-        data.terminations,
-    )
-    return (*map(padded, columns), np.int32(len(data)))
+
+@dataclass(frozen=True)
+class ActorCritic(ABC):
+    """An algorithm with an actor and two critics.
+
+    Attributes:
+        seed: seed of the weights, the batches and the noise.
+        checkpoints: numbers of updates after which the policy is kept.
+        rate: learning rate.
+        batch: rows of a batch.
+        discount: discount factor.
+        follow_share: share by which a target network follows at each of its updates.
+        initial: distribution of the initial weights.
+    """
+
+    seed: int
+    checkpoints: tuple[int, ...]
+    rate: float = 3e-4
+    batch: int = 128
+    discount: float = 0.99
+    follow_share: float = 0.005
+    initial: Initial = "pytorch"
+    name: ClassVar[str]
+
+    def train(self, data: Arrays) -> dict[int, Actor]:
+        """Return the policy at each checkpoint."""
+        statistics = robust_statistics(data.observations)
+        observation, action = data.observations.shape[1], data.actions.shape[1]
+        sizes = (observation + action, *HIDDEN, 1)
+        policy = new_policy(data.observations, data.actions, self.seed, self.initial)
+        critics = tuple(new_network(sizes, self.seed + more, self.initial) for more in (1000, 2000))
+        columns = (
+            statistics.normalize(data.observations),
+            data.actions,
+            data.rewards * self.reward_scale(data),
+            statistics.normalize(data.next_observations),
+            data.terminations,
+        )
+        padded_data = (*map(padded, columns), np.int32(len(data)))
+        # All seeds use one compiled program.
+        update = replace(self, seed=0, checkpoints=()).update()
+        state = self.first_state(policy, critics)
+        states = iterate(update, state, padded_data, self.checkpoints, self.seed)
+        return {
+            updates: to_actor(actor.params["network"], statistics, self.name)
+            for updates, (actor, *_) in states.items()
+        }
+
+    def reward_scale(self, data: Arrays) -> float:
+        """Return the factor of the rewards."""
+        return 1.0
+
+    @abstractmethod
+    def first_state(self, policy: Network, critics: Any) -> Any:
+        """Return the state before the first update. Its first part is the learner of the actor."""
+
+    @abstractmethod
+    def update(self) -> Update:
+        """Return the update of the state, the same function for equal settings."""
 
 
 def draw_transitions(key: Any, data: tuple[Any, ...], batch: int) -> tuple[Any, ...]:
-    """Return random rows of the columns of :func:`transition_data`, drawn with replacement."""
+    """Return random rows, drawn with replacement.
+
+    They are observations, actions, rewards, next observations and terminations.
+    """
     *columns, rows = data
     chosen = import_jax().random.randint(key, (batch,), 0, rows)
     return tuple(column[chosen] for column in columns)
 
 
-def new_critics(observation: int, action: int, seed: int, initial: Initial) -> tuple[Network, Network]:
-    """Return two critics with different weights."""
-    sizes = (observation + action, *HIDDEN, 1)
-    return new_network(sizes, seed + 1000, initial), new_network(sizes, seed + 2000, initial)
-
-
-def values(critics: tuple[Network, Network], observations: Any, actions: Any) -> tuple[Any, Any]:
+def values(critics: Critics, observations: Any, actions: Any) -> tuple[Any, Any]:
     """Return the values (batch,) of actions by both critics."""
     inputs = import_jax().numpy.concatenate((observations, actions), axis=-1)
     first, second = critics
     return forward(first, inputs)[:, 0], forward(second, inputs)[:, 0]
 
 
-def critic_error(critics: tuple[Network, Network], observations: Any, actions: Any, target: Any) -> Any:
+def critic_error(critics: Critics, observations: Any, actions: Any, target: Any) -> Any:
     """Return the sum of both critics' mean squared errors to the target values."""
     first, second = values(critics, observations, actions)
     return ((first - target) ** 2).mean() + ((second - target) ** 2).mean()
-
-
-def run_updates(
-    algorithm: Any, update_of: Callable[[Any], Update], state: Any, data: tuple[Any, ...]
-) -> dict[int, Any]:
-    """Return the state at each checkpoint of an algorithm.
-
-    Args:
-        algorithm: a dataclass with ``seed`` and ``checkpoints``.
-        update_of: returns the update of an algorithm's settings.
-        state: the state before the first update.
-        data: the data of :func:`transition_data`.
-    """
-    # All seeds use one compiled program.
-    update = update_of(replace(algorithm, seed=0, checkpoints=()))
-    return iterate(update, state, data, algorithm.checkpoints, algorithm.seed)
-
-
-def follow(target: Any, network: Any, share: float) -> Any:
-    """Return the target network, moved towards the network by a share of the way."""
-    return import_jax().tree.map(lambda old, new: old + share * (new - old), target, network)

@@ -22,8 +22,12 @@ def episode_returns(policy: Any, variant: Variant, episodes: int) -> list[float]
 
 def relative_error(policy: Any, query: Arrays) -> float:
     """Return the norm of the errors of a policy's actions, divided by the norm of the data's actions."""
-    act, rows = batch_act(policy), query.observations
-    rngs = [np.random.default_rng(i) for i in range(LANES)]
-    blocks = [rows[start : start + LANES] for start in range(0, len(rows), LANES)]
-    actions = np.concatenate([act(block, rngs[: len(block)]) for block in blocks])
+    if hasattr(policy, "actions_of"):
+        # A policy with a memory needs the steps in order.
+        actions = policy.actions_of(query)
+    else:
+        act, rows = batch_act(policy), query.observations
+        rngs = [np.random.default_rng(i) for i in range(LANES)]
+        blocks = [rows[start : start + LANES] for start in range(0, len(rows), LANES)]
+        actions = np.concatenate([act(block, rngs[: len(block)]) for block in blocks])
     return round(float(np.linalg.norm(actions - query.actions) / np.linalg.norm(query.actions)), 4)

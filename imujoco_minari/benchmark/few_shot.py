@@ -32,9 +32,9 @@ FILE = "few-shot.jsonl"
 CELL = ("protocol", "method", "split", "tier", "variant", "budget", "seed")
 
 # Measured on one busy core.
-SECONDS_PER_CELL = {"set-encoder": 0.6} | dict.fromkeys(COMPARISONS, 1.0)
+SECONDS_PER_CELL = {"set-encoder": 0.6, "history": 12.0} | dict.fromkeys(COMPARISONS, 1.0)
 SECONDS_PER_ADAPTED_CELL = 4.0
-SECONDS_PER_FIT = {"multi-variant": 40.0, "told": 40.0, "maml": 65.0, "set-encoder": 30.0}
+SECONDS_PER_FIT = {"multi-variant": 40.0, "told": 40.0, "maml": 65.0, "set-encoder": 30.0, "history": 40.0}
 
 
 @dataclass(frozen=True)
@@ -44,11 +44,12 @@ class FewShotGrid:
     Attributes:
         methods: maps names to methods.
         splits: the splits; each is within one robot.
-        tiers: tiers of the demonstrations and of the training data.
+        tiers: tiers of the training data, and of the demonstrations.
         budgets: how much of a held-out variant is demonstrated; None for those of the protocol.
         seeds: seeds of the draws and of the methods.
         variants: ids of the held-out variants to use; None for all of a split.
         episodes: number of episodes of each evaluation.
+        demonstrations: another tier of the demonstrations, for example of other experts.
     """
 
     methods: Mapping[str, NewMethod]
@@ -58,6 +59,7 @@ class FewShotGrid:
     seeds: Sequence[int] = tuple(range(protocol.SEEDS))
     variants: Sequence[str] | None = None
     episodes: int = protocol.EVALUATION_EPISODES
+    demonstrations: str | None = None
 
     def __post_init__(self) -> None:
         held_out = {variant for split in self.splits for variant in split.test}
@@ -96,9 +98,9 @@ class FewShotGrid:
         learns = any(hasattr(new(0), "fit") for new in self.methods.values())
         wanted: list[str] = []
         for split in self.splits:
-            variants = [*(split.train if learns else ()), *self.held_out(split)]
             for tier in self.tiers:
-                wanted += _dataset_ids(variants, tier)
+                wanted += _dataset_ids(split.train if learns else (), tier)
+                wanted += _dataset_ids(self.held_out(split), self.demonstrations or tier)
         return list(dict.fromkeys(wanted))
 
 
@@ -136,7 +138,8 @@ def _lines(grid: FewShotGrid) -> Iterator[Line]:
     # All cells of a dataset share its digest.
     digest = cache(data_sha256)
     stated = {"protocol": protocol.NAME, "episodes": grid.episodes, "versions": versions()}
-    for split, tier, seed in product(grid.splits, grid.tiers, grid.seeds):
+    for split, train_tier, seed in product(grid.splits, grid.tiers, grid.seeds):
+        tier = grid.demonstrations or train_tier
         for name, new in grid.methods.items():
             method = new(seed)
             common = {
@@ -145,9 +148,12 @@ def _lines(grid: FewShotGrid) -> Iterator[Line]:
                 "settings": settings_of(method),
                 "split": split.name,
                 "tier": tier,
+                **({"train_tier": train_tier} if tier != train_tier else {}),
                 "seed": seed,
-                "train_sha256": digest(_dataset_ids(split.train, tier)) if hasattr(method, "fit") else "",
+                "train_sha256": "",
             }
+            if hasattr(method, "fit"):
+                common["train_sha256"] = digest(_dataset_ids(split.train, train_tier))
             budgets = grid.budgets_of(name, split)
             for variant in map(Variant.parse, grid.held_out(split)):
                 own = {
@@ -167,7 +173,7 @@ def _compute(grid: FewShotGrid, jobs: int, lines: Sequence[Line]) -> Iterator[Li
     """Yield the lines with their measured entries."""
     splits = {split.name: split for split in grid.splits}
     # Methods are fitted shortly before they are used, so that a killed run loses little.
-    for (split, tier, seed), own in groupby(lines, itemgetter("split", "tier", "seed")):
+    for (split, tier, seed), own in groupby(lines, lambda x: (x["split"], train_tier(x), x["seed"])):
         tasks = [list(task) for _, task in groupby(own, itemgetter("method", "variant"))]
         train = _dataset_ids(splits[split].train, tier)
         names = list(dict.fromkeys(task[0]["method"] for task in tasks))
@@ -178,6 +184,11 @@ def _compute(grid: FewShotGrid, jobs: int, lines: Sequence[Line]) -> Iterator[Li
         work = [(fitted[task[0]["method"]], task) for task in tasks]
         for number, found in run_jobs(_run_task, work, jobs=jobs):
             yield from _found(found, _dataset_id(tasks[number]))
+
+
+def train_tier(line: Line) -> str:
+    """Return the tier of the training data of a line."""
+    return str(line.get("train_tier", line["tier"]))
 
 
 def _found(result: Any, name: str) -> Any:

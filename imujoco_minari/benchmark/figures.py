@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 from imujoco_minari.benchmark.lines import Line
 from imujoco_minari.benchmark.methods import COMPARISONS
-from imujoco_minari.benchmark.offline import ALGORITHMS, SHIFTED_TIER, TIERS
+from imujoco_minari.benchmark.offline import ACROSS_ALGORITHMS, ALGORITHMS, ALL_TIERS, SHIFTED_TIER
 from imujoco_minari.benchmark.reproduction import comparison
 from imujoco_minari.benchmark.scores import (
     OTHERS_MARK,
+    SHIFTED,
     TYPICAL_BUDGET,
     Interval,
     MethodScore,
@@ -99,7 +100,7 @@ def offline_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
     if not scores:
         return []
     steps = sorted({score.steps for score in scores})
-    tiers = [tier for tier in TIERS if any(score.tier == tier for score in scores)]
+    tiers = [tier for tier in ALL_TIERS if any(score.tier == tier for score in scores)]
     by_tier = {tier: (tier, BASE, steps[-1]) for tier in tiers}
     figures = [_offline_figure("base", "on the base robot", "", by_tier, scores)]
     for tier in tiers:
@@ -118,6 +119,24 @@ def offline_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
         title = f"from {SHIFTED_TIER} data of the base to other variants"
         figures.append(_offline_figure("shifted", title, "", by_category, scores))
     return figures
+
+
+def across_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
+    """Return the figures of scores in held-out variants: by category, and by updates."""
+    if not scores:
+        return []
+    steps = sorted({score.steps for score in scores})
+    present = {score.category for score in scores}
+    by_category = {
+        "all" if category == SHIFTED else category: (SHIFTED_TIER, category, steps[-1])
+        for category in (SHIFTED, *CATEGORIES)
+        if category in present
+    }
+    by_steps = {_short(number): (SHIFTED_TIER, SHIFTED, number) for number in steps}
+    return [
+        _offline_figure("across", "from many variants to others", "", by_category, scores),
+        _offline_figure("across-steps", "from many variants to others", "updates", by_steps, scores),
+    ]
 
 
 def reproduction_figures(lines: Sequence[Line]) -> list[ScoreFigure]:
@@ -163,7 +182,7 @@ def _offline_figure(
     settings: Mapping[str, tuple[str, str, int]],
     scores: Sequence[MethodScore],
 ) -> ScoreFigure:
-    """Return a figure with a panel for each robot.
+    """Return a figure with a panel for each group.
 
     Args:
         name: the end of the figure's name.
@@ -173,12 +192,12 @@ def _offline_figure(
         scores: offline scores.
     """
     panels: dict[str, dict[str, list[Interval | None]]] = {}
-    for robot in ROBOTS:
-        own = {(s.method, s.tier, s.category, s.steps): s.interval for s in scores if s.group == robot}
-        for method in ALGORITHMS:
+    for group in sorted({s.group for s in scores}, key=lambda name: ROBOTS.index(name.partition("-")[0])):
+        own = {(s.method, s.tier, s.category, s.steps): s.interval for s in scores if s.group == group}
+        for method in dict.fromkeys((*ALGORITHMS, *ACROSS_ALGORITHMS)):
             found = [own.get((method, *setting)) for setting in settings.values()]
             if any(found):
-                panels.setdefault(robot, {})[method] = found
+                panels.setdefault(group, {})[method] = found
     return ScoreFigure(f"offline-{name}", f"Offline learning: {title}", x_label, tuple(settings), panels)
 
 

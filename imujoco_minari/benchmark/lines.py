@@ -2,6 +2,9 @@
 
 A line's *identity* is all of it but the measured entries. A cell is computed once for each identity: when a
 dataset, a policy, a setting or a version changes, the old line no longer matches and the cell runs again.
+
+A file stores what many lines share once: an entry ``{"name": ..., "facts": {...}}`` precedes the entries that
+name it. A line is an entry with the facts that it names, or an entry that has all of them itself.
 """
 
 from __future__ import annotations
@@ -26,41 +29,90 @@ from imujoco_minari.variants import Variant
 Line = Mapping[str, Any]
 
 _MEASURED = ("references", "results", "seconds")
+# What an entry has of its own. The rest are the facts of its data and those of its method.
+_OWN = ("seed", "budget", "results", "seconds")
+_OF_DATA = ("variant", "variants", "robot", "data_sha256", "policies_sha256", "references")
+# Facts are small, and an entry names few of them: a small file cannot stand for many large lines.
+_MOST_FACTS, _MOST_NAMED = 20, 2
 _PACKAGES = ("imujoco-minari", "mujoco", "gymnasium", "numpy", "jax", "optax")
 
 
 def read_lines(path: Path) -> list[Line]:
     """Return the lines of a results file; none if it does not exist.
 
-    The last line may be incomplete, because a run was killed: it is left out.
+    The last entry may be incomplete, because a run was killed: it is left out.
 
     Raises:
-        BenchmarkError: if another line is not a JSON object.
+        BenchmarkError: if another entry is malformed.
     """
+    return _read(path)[0]
+
+
+def _read(path: Path) -> tuple[list[Line], dict[str, Line]]:
+    """Return the lines of a results file, and the facts that it states by name."""
+    lines: list[Line] = []
+    facts: dict[str, Line] = {}
     if not path.exists():
-        return []
+        return lines, facts
     try:
         *whole, _ = path.read_text("utf-8").split("\n")
     except (OSError, UnicodeDecodeError) as error:
         raise BenchmarkError(f"{path}: cannot be read: {error}") from None
-    lines = []
     for number, text in enumerate(whole, start=1):
         try:
-            line = json.loads(text)
-            line["results"].items()
+            if (line := expanded(json.loads(text), facts)) is not None:
+                line["results"].items()
+                lines.append(line)
         # Deep nesting exhausts the stack.
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        except (ValueError, KeyError, AttributeError, TypeError, RecursionError):
             raise BenchmarkError(f"{path}, line {number}: not a result of the benchmark") from None
-        lines.append(line)
-    return lines
+    return lines, facts
 
 
-def append_lines(path: Path, lines: Sequence[Line]) -> None:
-    """Add lines to a results file. It removes an incomplete last line.
+def expanded(entry: Any, facts: dict[str, Line]) -> Line | None:
+    """Return the line that an entry stands for, or None if the entry only adds to the facts.
+
+    Args:
+        entry: any JSON value.
+        facts: the facts of the entries before it, by name.
+
+    Raises:
+        ValueError: if the entry is malformed, or names facts that are not stated before it.
+    """
+    if not isinstance(entry, dict):
+        raise ValueError("not a JSON object")
+    stated, name = entry.get("facts", []), entry.get("name")
+    if isinstance(stated, dict) and isinstance(name, str) and len(stated) <= _MOST_FACTS:
+        facts[name] = stated
+        return None
+    if not isinstance(stated, list) or len(stated) > _MOST_NAMED:
+        raise ValueError("its facts are malformed")
+    line: dict[str, Any] = {}
+    for name in stated:
+        if not isinstance(name, str) or name not in facts:
+            raise ValueError("its facts are not stated before it")
+        line |= facts[name]
+    return line | {key: value for key, value in entry.items() if key != "facts"}
+
+
+def append_lines(path: Path, lines: Sequence[Line], stated: set[str] | None = None) -> None:
+    """Add lines to a results file. It removes an incomplete last entry.
+
+    Args:
+        path: the file.
+        lines: the lines.
+        stated: names of the facts that the file already states. The new ones are added to it.
 
     Raises:
         StorageError: if the file cannot be written.
     """
+    stated = set() if stated is None else stated
+    entries: list[Line] = []
+    for line in lines:
+        facts = _facts(line)
+        entries += ({"name": name, "facts": facts[name]} for name in facts if name not in stated)
+        stated.update(facts)
+        entries.append({"facts": list(facts), **{key: line[key] for key in _OWN if key in line}})
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("ab+") as file:
@@ -68,15 +120,24 @@ def append_lines(path: Path, lines: Sequence[Line]) -> None:
             file.seek(max(0, end - 2**20))
             tail = file.read()
             file.truncate(end - (len(tail) - tail.rfind(b"\n") - 1))
-            for line in lines:
-                file.write(json.dumps(line, separators=(",", ":")).encode() + b"\n")
+            for entry in entries:
+                file.write(json.dumps(entry, separators=(",", ":")).encode() + b"\n")
     except OSError as error:
         raise StorageError(f"cannot write {path}: {error.strerror or error}") from None
 
 
+def _facts(line: Line) -> dict[str, Line]:
+    """Return what a line may share with others, by names that are digests: of its method, and of its data."""
+    found: dict[str, Line] = {}
+    for of_data in (False, True):
+        facts = {key: line[key] for key in line if key not in _OWN and (key in _OF_DATA) is of_data}
+        found[sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:12]] = facts
+    return found
+
+
 def identity(line: Line) -> str:
     """Return the identity of a line as text: all of it but the measured entries."""
-    return json.dumps({key: line[key] for key in sorted(line) if key not in _MEASURED})
+    return json.dumps({key: line[key] for key in line if key not in _MEASURED}, sort_keys=True)
 
 
 def run_lines(
@@ -96,7 +157,8 @@ def run_lines(
     Raises:
         StorageError: if a line cannot be written.
     """
-    known = {identity(line): line for line in read_lines(path)}
+    lines, facts = _read(path)
+    known, stated = {identity(line): line for line in lines}, set(facts)
     done = [known[identity(line)] for line in wanted if identity(line) in known]
     missing = [line for line in wanted if identity(line) not in known]
     on_cells(len(done))
@@ -104,7 +166,7 @@ def run_lines(
     if missing:
         append_lines(path, [])
     for line in compute(missing):
-        append_lines(path, [line])
+        append_lines(path, [line], stated)
         done.append(line)
         on_cells(1)
     return done

@@ -6,56 +6,44 @@ variant; the gradient of the copy's loss on other rows of that variant moves the
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
 import numpy as np
 
-from imujoco_minari.benchmark.cloning import fine_tune, robust_statistics
+from imujoco_minari.benchmark.cloning import Pretrained, robust_statistics
 from imujoco_minari.benchmark.networks import (
     Loss,
     Network,
     descend,
-    draw_rows,
+    draw_variants,
+    gradient_step,
     new_policy,
     padded,
     squared_error,
 )
-from imujoco_minari.benchmark.protocol import STEPS
-from imujoco_minari.loading import Arrays, Statistics
-from imujoco_minari.policies import Actor
+from imujoco_minari.loading import Arrays
 from imujoco_minari.training.agents import import_jax
 
 
 @dataclass
-class Maml:
+class Maml(Pretrained):
     """First-order MAML, adapted as the other methods are: by Adam on the demonstrations.
 
     Attributes:
-        seed: seed of the weights and of the batches.
-        rate: learning rate of the adaptation.
-        steps: numbers of steps of the adaptation after which it returns the policy.
         inner_rate: learning rate of the copies' steps, which are plain gradient descent.
         inner_steps: number of the copies' steps.
-        fit_rate: learning rate of the initial weights.
-        fit_steps: number of steps of the initial weights.
         tasks: training variants in each step.
         rows: rows of a variant for the copy's steps, and as many others for its loss.
     """
 
-    seed: int = 0
-    rate: float = 3e-4
-    steps: tuple[int, ...] = STEPS
-    inner_rate: float = 0.1
-    inner_steps: int = 3
     fit_rate: float = 5e-4
     fit_steps: int = 5_000
+    inner_rate: float = 0.1
+    inner_steps: int = 3
     tasks: int = 8
     rows: int = 64
-    _network: Network = field(default_factory=list, init=False, repr=False)
-    _statistics: Statistics | None = field(default=None, init=False, repr=False)
 
     def fit(self, train: Arrays) -> None:
         """Find initial weights on the training variants."""
@@ -68,11 +56,6 @@ class Maml:
         steps = self.fit_steps
         self._network = descend(loss, network, data, [steps], rate=self.fit_rate, seed=self.seed)[steps]
 
-    def adapt(self, demonstrations: Arrays) -> Mapping[int, Actor]:
-        """Return the policies after each number of steps on the demonstrations."""
-        assert self._statistics is not None
-        return fine_tune(self._network, self._statistics, demonstrations, self.rate, self.seed, self.steps)
-
 
 @cache
 def meta_loss(tasks: int, rows: int, inner_steps: int) -> Loss:
@@ -81,17 +64,14 @@ def meta_loss(tasks: int, rows: int, inner_steps: int) -> Loss:
 
     def loss(network: Network, key: Any, data: tuple[Any, ...]) -> Any:
         inputs, actions, starts, counts, inner_rate = data
-        which, where = jax.random.split(key)
-        chosen = jax.random.randint(which, (tasks,), 0, len(starts))
-        drawn = draw_rows(where, starts[chosen], counts[chosen], 2 * rows)
+        _, drawn = draw_variants(key, starts, counts, tasks, 2 * rows)
 
         def after_adapting(support: Any, query: Any) -> Any:
             adapted = network
             for _ in range(inner_steps):
-                gradient = jax.grad(squared_error)(adapted, inputs[support], actions[support])
-                # First order: the change counts as a constant.
-                change = jax.lax.stop_gradient(gradient)
-                adapted = jax.tree.map(lambda old, g: old - inner_rate * g, adapted, change)
+                adapted = gradient_step(
+                    adapted, lambda own: squared_error(own, inputs[support], actions[support]), inner_rate
+                )
             return squared_error(adapted, inputs[query], actions[query])
 
         return jax.vmap(after_adapting)(drawn[:, :rows], drawn[:, rows:]).mean()

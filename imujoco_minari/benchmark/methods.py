@@ -12,12 +12,13 @@ from importlib import import_module
 from typing import Any, Protocol
 
 from imujoco_minari.benchmark.cloning import BaseExpert, MultiVariant, Scratch
+from imujoco_minari.benchmark.history import History
 from imujoco_minari.benchmark.maml import Maml
 from imujoco_minari.benchmark.set_encoder import SetEncoder
 from imujoco_minari.errors import BenchmarkChoiceError, BenchmarkError, clipped, suggestion
 from imujoco_minari.loading import Arrays
-from imujoco_minari.policies import Actor, RandomPolicy, expert_actor, random_policy
-from imujoco_minari.variants import Variant
+from imujoco_minari.policies import Actor, RandomPolicy, expert_actor, random_policy, universal_policy
+from imujoco_minari.variants import ROBOTS, Variant
 
 
 class Method(Protocol):
@@ -67,24 +68,49 @@ class ExpertBound:
         return expert_actor(Variant.parse(demonstrations.table[0].variant))
 
 
+class UniversalBound:
+    """What knowing the body is worth: the robot's universal policy, which is told the body.
+
+    It was trained online, in many variants, the held-out ones among them. No method has that.
+    """
+
+    def __init__(self, seed: int) -> None:
+        self.seed = seed
+        found = {robot: universal_policy(robot) for robot in ROBOTS}
+        self.policies = tuple(f"{robot} {policy.sha256}" for robot, policy in found.items() if policy)
+
+    def adapt(self, demonstrations: Arrays) -> Actor:
+        """Return the universal policy, told the variant."""
+        variant = Variant.parse(demonstrations.table[0].variant)
+        if (policy := universal_policy(variant.robot)) is None:
+            raise BenchmarkError(f"{variant.robot} has no universal policy")
+        return policy.fold(variant)
+
+
 METHODS: Mapping[str, NewMethod] = {
     "scratch": Scratch,
     "base-expert": BaseExpert,
     "multi-variant": MultiVariant,
     "maml": Maml,
     "set-encoder": SetEncoder,
+    "history": History,
     "told": partial(MultiVariant, told=True),
+    "universal": UniversalBound,
     "random": RandomBound,
     "expert": ExpertBound,
 }
 # The policies of these methods do not depend on the demonstrations. They run with one budget.
-COMPARISONS = ("told", "random", "expert")
-# The bounds of the scores: these two train nothing.
-BOUNDS = ("random", "expert")
+COMPARISONS = ("told", "universal", "random", "expert")
+# The bounds: these train nothing.
+BOUNDS = ("universal", "random", "expert")
 
 
-def find_method(name: str) -> NewMethod:
-    """Return the method of a name, or the class that ``module:Class`` names.
+def find_method(name: str, known: Mapping[str, Any] = METHODS) -> Any:
+    """Return the method or algorithm of a name, or the class that ``module:Class`` names.
+
+    Args:
+        name: the name.
+        known: maps the names of this package's to them.
 
     Raises:
         BenchmarkChoiceError: if neither exists.
@@ -92,16 +118,15 @@ def find_method(name: str) -> NewMethod:
     module, _, own = name.partition(":")
     if own:
         try:
-            found: NewMethod = getattr(import_module(module), own)
-            return found
+            return getattr(import_module(module), own)
         except (ImportError, AttributeError, ValueError) as error:
             raise BenchmarkChoiceError(f"no method {clipped(name)!r}: {error}") from None
-    if name not in METHODS:
+    if name not in known:
         raise BenchmarkChoiceError(
-            f"no method {clipped(name)!r}{suggestion(name[:80], METHODS)}; valid: {', '.join(METHODS)}, or "
+            f"no method {clipped(name)!r}{suggestion(name[:80], known)}; valid: {', '.join(known)}, or "
             "<module>:<Class> for your own"
         )
-    return METHODS[name]
+    return known[name]
 
 
 def with_settings(new: NewMethod, settings: Sequence[str]) -> NewMethod:

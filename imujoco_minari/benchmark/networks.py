@@ -144,9 +144,8 @@ def descend(
         rate: learning rate.
         seed: seed of the batches.
     """
-    state = (network, adam().init(network), np.float32(rate))
-    states = iterate(_adam_step(loss), state, data, checkpoints, seed)
-    return {steps: network for steps, (network, _, _) in states.items()}
+    states = iterate(_descent(loss), learner(network, rate), data, checkpoints, seed)
+    return {steps: state.params for steps, state in states.items()}
 
 
 def clone(
@@ -202,16 +201,26 @@ def padded(array: Array) -> Array:
     return whole
 
 
-def minimise(loss: Callable[[Any], Any], network: Any, moments: Any, rate: Any) -> tuple[Any, Any]:
-    """Return the network and Adam's moments after one step."""
-    jax = import_jax()
-    changes, moments = adam().update(jax.grad(loss)(network), moments)
-    return jax.tree.map(lambda old, change: old - rate * change, network, changes), moments
+def learner(parameters: Any, rate: float, decay_steps: int | None = None) -> Any:
+    """Return a ``TrainState`` of Flax: parameters, and Adam with its moments.
+
+    Args:
+        parameters: a network, or any tree of arrays.
+        rate: learning rate.
+        decay_steps: the rate falls by a cosine to 0 in this many steps; None for a constant rate.
+    """
+    from flax.training.train_state import TrainState
+
+    return TrainState.create(apply_fn=None, params=parameters, tx=_adam(rate, decay_steps))
 
 
-@cache
-def adam() -> Any:
-    """Return Adam's rule without a learning rate.
+def minimised(state: Any, loss: Callable[[Any], Any]) -> Any:
+    """Return the state of a :func:`learner` after one step of Adam on a loss of its parameters."""
+    return state.apply_gradients(grads=import_jax().grad(loss)(state.params))
+
+
+def import_optax() -> Any:
+    """Return the module ``optax``.
 
     Raises:
         DependencyError: if JAX or Optax is not installed.
@@ -222,22 +231,40 @@ def adam() -> Any:
         import optax
     except ImportError:
         raise missing_dependency("optax", "train", "the benchmark") from None
+    return optax
 
-    return optax.scale_by_adam()
+
+@cache
+def _adam(rate: float, decay_steps: int | None) -> Any:
+    # One object for each rate, because JAX compiles once for each.
+    optax = import_optax()
+    return optax.adam(optax.cosine_decay_schedule(rate, decay_steps) if decay_steps else rate)
 
 
-def draw_rows(key: Any, starts: Any, counts: Any, number: int) -> Any:
-    """Return numbers of random rows (blocks, number): some of each block of rows, with replacement.
+def gradient_step(network: Any, loss: Callable[[Any], Any], rate: Any) -> Any:
+    """Return a network after one step of plain gradient descent, through which no gradient flows."""
+    jax = import_jax()
+    gradient = jax.lax.stop_gradient(jax.grad(loss)(network))
+    return jax.tree.map(lambda old, slope: old - rate * slope, network, gradient)
+
+
+def draw_variants(key: Any, starts: Any, counts: Any, tasks: int, number: int) -> tuple[Any, Any]:
+    """Return random variants (tasks,), and numbers of random rows of each (tasks, number).
 
     Args:
         key: a key of JAX's random numbers.
-        starts: first row of each block, (blocks,).
-        counts: number of rows of each block, (blocks,).
-        number: how many rows of each.
+        starts: first row of each variant, (variants,).
+        counts: number of rows of each variant, (variants,).
+        tasks: how many variants, drawn with replacement.
+        number: how many rows of each, drawn with replacement.
     """
     jax = import_jax()
-    share = jax.random.uniform(key, (len(starts), number))
-    return starts[:, None] + jax.numpy.minimum((share * counts[:, None]).astype(int), counts[:, None] - 1)
+    which, where = jax.random.split(key)
+    chosen = jax.random.randint(which, (tasks,), 0, len(starts))
+    own = counts[chosen][:, None]
+    # A share may be rounded up to 1.
+    places = (jax.random.uniform(where, (tasks, number)) * own).astype(int)
+    return chosen, starts[chosen][:, None] + jax.numpy.minimum(places, own - 1)
 
 
 @cache
@@ -256,10 +283,5 @@ def _compiled(update: Update) -> Any:
 
 
 @cache
-def _adam_step(loss: Loss) -> Update:
-    def update(state: Any, key: Any, data: Any) -> Any:
-        network, moments, rate = state
-        network, moments = minimise(lambda network: loss(network, key, data), network, moments, rate)
-        return network, moments, rate
-
-    return update
+def _descent(loss: Loss) -> Update:
+    return lambda state, key, data: minimised(state, lambda network: loss(network, key, data))

@@ -1,15 +1,18 @@
-"""Offline reinforcement learning on the bases' datasets: the cells ``offline-v1``, and how they run.
+"""Offline reinforcement learning: the cells ``offline-v1`` and ``across-v1``, and how they run.
 
-A cell trains one algorithm on one dataset with one seed, and evaluates its policies on the base robot. A
-policy of ``medium-expert`` data is evaluated on some variants too, which its data do not contain.
+A cell of ``offline-v1`` trains one algorithm on a dataset of a base robot with one seed, and evaluates its
+policies on the base robot. A policy of ``medium-expert`` data is evaluated on some variants too, which its
+data do not contain. A cell of ``across-v1`` trains on the datasets of all training variants of a split, and
+evaluates on the held-out variants.
 """
 
 from __future__ import annotations
 
-import time
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
+from itertools import product
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -32,23 +35,29 @@ from imujoco_minari.benchmark.protocol import EVALUATION_EPISODES
 from imujoco_minari.benchmark.td3_bc import Td3Bc
 from imujoco_minari.errors import BenchmarkChoiceError, BenchmarkError
 from imujoco_minari.loading import Arrays, arrays
-from imujoco_minari.policies import Actor
+from imujoco_minari.policies.tiers import LARGE_TIERS
+from imujoco_minari.policies.universal import UniversalPolicy, whole_context
 from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.storage import minari_root
 from imujoco_minari.storage.metadata import read_metadata
-from imujoco_minari.variants import ROBOTS, Variant
+from imujoco_minari.variants import ROBOTS, Variant, held_out
 
-NAME = "offline-v1"
-FILE = "offline.jsonl"
+NAME, ACROSS = "offline-v1", "across-v1"
+FILE, ACROSS_FILE = "offline.jsonl", "across.jsonl"
 CELL = ("protocol", "method", "robot", "tier", "seed", "checkpoints")
+# The split of a robot in across-v1.
+ACROSS_SPLIT = "{}-random-v1"
 UPDATES = 250_000
 # The policy is evaluated after these parts of the updates.
 PARTS = (0.1, 0.2, 0.4, 1.0)
 SEEDS = 3
 TIERS = ("medium", "medium-replay", "medium-expert")
+# The cells of the large tiers are computed only if they are named.
+ALL_TIERS = (*TIERS, *LARGE_TIERS)
 # The policies of these tiers sample their actions, as those of D4RL do: `imujoco publish --stochastic`. Modes
 # give data with one action for each state, on which the critics of TD3+BC diverge.
-SAMPLED_TIERS = ("medium", "medium-expert")
+SAMPLED_TIERS = ("medium", "medium-expert", *LARGE_TIERS)
+EPISODES, LARGE_EPISODES = 100, 1000
 # A policy of this tier's data is evaluated on these variants too: a strong change of each category, on which
 # the base's expert scores less than 1 if the category has such a variant.
 SHIFTED_TIER = "medium-expert"
@@ -68,22 +77,63 @@ SHIFTED_VARIANTS = (
 )
 # Measured on one core.
 SECONDS_PER_UPDATE = {"bc": 0.0005, "bc-10%": 0.0005, "td3+bc": 0.0016, "iql": 0.0022}
+SECONDS_PER_UPDATE |= {"bc-told": 0.0006, "iql-told": 0.0024}
 
 
 class Algorithm(Protocol):
     """Learns a policy from a dataset."""
 
-    def train(self, data: Arrays) -> Mapping[int, Actor]:
-        """Return the policy that was learnt from the data at each checkpoint, a number of updates."""
+    def train(self, data: Arrays) -> Mapping[int, Any]:
+        """Return the policy that was learnt from the data at each checkpoint, a number of updates.
+
+        A :class:`~imujoco_minari.policies.universal.UniversalPolicy` is told each variant that it acts in.
+        """
 
 
 # Returns an algorithm for a seed and checkpoints.
 NewAlgorithm = Callable[[int, tuple[int, ...]], Algorithm]
+
+
+class Told:
+    """An algorithm that is told the variant: its context follows the observation.
+
+    Args:
+        new: the algorithm.
+        seed: its seed.
+        checkpoints: its checkpoints.
+    """
+
+    def __init__(self, new: NewAlgorithm, seed: int, checkpoints: tuple[int, ...]) -> None:
+        self._algorithm = new(seed, checkpoints)
+        vars(self).update(vars(self._algorithm), told=True)
+
+    def train(self, data: Arrays) -> dict[int, UniversalPolicy]:
+        """Return the policy at each checkpoint. It takes observation and context."""
+        contexts = np.array([whole_context(Variant.parse(origin.variant)) for origin in data.table])
+        told = contexts[data.variant_index].astype(np.float32)
+        seen, following = (
+            np.concatenate((observations, told), axis=1)
+            for observations in (data.observations, data.next_observations)
+        )
+        actors = self._algorithm.train(replace(data, observations=seen, next_observations=following))
+        low, high = contexts.min(axis=0), contexts.max(axis=0)
+        return {
+            updates: UniversalPolicy(data.table[0].robot, actor, low, high, {})
+            for updates, actor in actors.items()
+        }
+
+
 ALGORITHMS: Mapping[str, NewAlgorithm] = {
     "bc": Cloning,
     "bc-10%": partial(Cloning, best=0.1),
     "td3+bc": Td3Bc,
     "iql": Iql,
+}
+ACROSS_ALGORITHMS: Mapping[str, NewAlgorithm] = {
+    "bc": Cloning,
+    "iql": Iql,
+    "bc-told": partial(Told, Cloning),
+    "iql-told": partial(Told, Iql),
 }
 
 
@@ -92,27 +142,26 @@ class OfflineGrid:
     """The cells of a run: all combinations of these methods, robots, tiers and seeds.
 
     Attributes:
-        methods: names of the algorithms.
+        methods: maps names to algorithms.
         robots: the robots.
         tiers: tiers of the datasets.
         seeds: seeds of the algorithms.
         updates: number of updates. Policies after a tenth, a fifth and two fifths of them are evaluated too.
         episodes: number of episodes of each evaluation.
+        across: learn from all training variants of the robot's random split instead of from its base.
     """
 
-    methods: Sequence[str] = tuple(ALGORITHMS)
+    methods: Mapping[str, NewAlgorithm] = field(default_factory=lambda: ALGORITHMS)
     robots: Sequence[str] = ROBOTS
     tiers: Sequence[str] = TIERS
     seeds: Sequence[int] = tuple(range(SEEDS))
     updates: int = UPDATES
     episodes: int = EVALUATION_EPISODES
+    across: bool = False
 
     def __post_init__(self) -> None:
-        for word, given, valid in (
-            ("algorithm", self.methods, tuple(ALGORITHMS)),
-            ("robot", self.robots, ROBOTS),
-            ("tier", self.tiers, TIERS),
-        ):
+        tiers = (SHIFTED_TIER,) if self.across else ALL_TIERS
+        for word, given, valid in (("robot", self.robots, ROBOTS), ("tier", self.tiers, tiers)):
             unknown = sorted(set(given) - set(valid))
             if unknown:
                 raise BenchmarkChoiceError(f"no {word} {unknown[0]!r} here; valid: {', '.join(valid)}")
@@ -127,15 +176,29 @@ class OfflineGrid:
 
     def seconds(self) -> float:
         """Return about how long one process computes the cells."""
-        each = sum(SECONDS_PER_UPDATE[name] for name in self.methods) * self.updates
+        each = sum(SECONDS_PER_UPDATE.get(name, 0.0) for name in self.methods) * self.updates
         return self.cells() / len(self.methods) * each
+
+    def variants(self, robot: str, tier: str) -> tuple[list[Variant], list[Variant]]:
+        """Return the variants whose data a cell learns from, and those that it is evaluated on."""
+        if self.across:
+            split = held_out(ACROSS_SPLIT.format(robot))
+            return list(map(Variant.parse, split.train)), list(map(Variant.parse, split.test))
+        shifted = map(Variant.parse, SHIFTED_VARIANTS if tier == SHIFTED_TIER else ())
+        return [Variant(robot)], [Variant(robot), *(each for each in shifted if each.robot == robot)]
 
     def recipes(self) -> list[Recipe]:
         """Return the recipes of the datasets that the cells need."""
         return [
-            Recipe(Variant(robot), tier, stochastic=tier in SAMPLED_TIERS)
+            Recipe(
+                variant,
+                tier,
+                LARGE_EPISODES if tier in LARGE_TIERS else EPISODES,
+                stochastic=tier in SAMPLED_TIERS,
+            )
             for robot in self.robots
             for tier in self.tiers
+            for variant in self.variants(robot, tier)[0]
         ]
 
 
@@ -150,7 +213,7 @@ def run_offline(
 
     Args:
         grid: the cells.
-        results: folder of ``offline.jsonl``.
+        results: folder of ``offline.jsonl`` and ``across.jsonl``.
         jobs: number of processes. The results do not depend on it.
         on_cells: called with the number of cells that have become known.
 
@@ -162,34 +225,31 @@ def run_offline(
     """
     for recipe in grid.recipes():
         _check_sampled(recipe)
-    compute = partial(measure_each, _run_cell, jobs)
-    return run_lines(results / FILE, compute, list(_lines(grid)), on_cells)
+    compute = partial(measure_each, partial(_run_cell, grid), jobs)
+    file = results / (ACROSS_FILE if grid.across else FILE)
+    return run_lines(file, compute, list(_lines(grid)), on_cells)
 
 
 def _lines(grid: OfflineGrid) -> Iterator[Line]:
     # All cells of a dataset share its digest, and all cells share the versions.
     digest, present = cache(data_sha256), versions()
-    for seed in grid.seeds:
-        for robot in grid.robots:
-            base = Variant(robot)
-            shifted = [variant for variant in map(Variant.parse, SHIFTED_VARIANTS) if variant.robot == robot]
-            for tier in grid.tiers:
-                variants = (base, *(shifted if tier == SHIFTED_TIER else ()))
-                for name in grid.methods:
-                    yield {
-                        "protocol": NAME,
-                        "method": name,
-                        "settings": algorithm_settings(name),
-                        "robot": robot,
-                        "tier": tier,
-                        "seed": seed,
-                        "checkpoints": grid.checkpoints(),
-                        "episodes": grid.episodes,
-                        "variants": [str(variant) for variant in variants],
-                        "data_sha256": digest((base.dataset_id(tier),)),
-                        "policies_sha256": policies_sha256(variants),
-                        "versions": present,
-                    }
+    for seed, robot, tier in product(grid.seeds, grid.robots, grid.tiers):
+        learnt, acted_in = grid.variants(robot, tier)
+        for name, new in grid.methods.items():
+            yield {
+                "protocol": ACROSS if grid.across else NAME,
+                "method": name,
+                "settings": algorithm_settings(new),
+                "robot": robot,
+                "tier": tier,
+                "seed": seed,
+                "checkpoints": grid.checkpoints(),
+                "episodes": grid.episodes,
+                "variants": [str(variant) for variant in acted_in],
+                "data_sha256": digest(tuple(variant.dataset_id(tier) for variant in learnt)),
+                "policies_sha256": policies_sha256(tuple(acted_in)),
+                "versions": present,
+            }
 
 
 def _check_sampled(recipe: Recipe) -> None:
@@ -202,29 +262,32 @@ def _check_sampled(recipe: Recipe) -> None:
         )
 
 
-def _run_cell(line: Line) -> Line:
-    start = time.process_time()
-    data = arrays(Variant(line["robot"]).dataset_id(line["tier"]), dtype=np.float32)
-    policies = ALGORITHMS[line["method"]](line["seed"], tuple(line["checkpoints"])).train(data)
-    training = time.process_time() - start
-    variants = [Variant.parse(variant) for variant in line["variants"]]
-    found = {
-        str(variant): {
-            str(updates): {"returns": episode_returns(policy, variant, line["episodes"])}
-            for updates, policy in policies.items()
-        }
-        for variant in variants
-    }
+def _run_cell(grid: OfflineGrid, line: Line) -> Line:
+    start = _seconds()
+    learnt, acted_in = grid.variants(line["robot"], line["tier"])
+    data = arrays([variant.dataset_id(line["tier"]) for variant in learnt], dtype=np.float32)
+    policies = grid.methods[line["method"]](line["seed"], tuple(line["checkpoints"])).train(data)
+    training = _seconds() - start
+    found: dict[str, dict[str, Any]] = {}
+    for variant, (updates, policy) in product(acted_in, policies.items()):
+        own = policy.fold(variant) if isinstance(policy, UniversalPolicy) else policy
+        returns = episode_returns(own, variant, line["episodes"])
+        found.setdefault(str(variant), {})[str(updates)] = {"returns": returns}
     return {
         **line,
-        "references": {str(variant): references(variant) for variant in variants},
+        "references": {str(variant): references(variant) for variant in acted_in},
         "results": found,
-        "seconds": [round(training, 1), round(time.process_time() - start - training, 1)],
+        "seconds": [round(training, 1), round(_seconds() - start - training, 1)],
     }
 
 
-def algorithm_settings(name: str) -> dict[str, Any]:
+def _seconds() -> float:
+    """Return the processor time of this process and of those that it has waited for."""
+    return sum(os.times()[:4])
+
+
+def algorithm_settings(new: NewAlgorithm) -> dict[str, Any]:
     """Return the settings of an algorithm, for its lines: all but the seed and the checkpoints."""
-    settings = settings_of(ALGORITHMS[name](0, ()))
-    del settings["checkpoints"]
+    settings = settings_of(new(0, ()))
+    settings.pop("checkpoints", None)
     return settings

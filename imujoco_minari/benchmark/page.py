@@ -10,6 +10,7 @@ from pathlib import Path
 from imujoco_minari.benchmark import few_shot, offline, protocol, reproduction
 from imujoco_minari.benchmark.figures import (
     ScoreFigure,
+    across_figures,
     few_shot_figures,
     offline_figures,
     reproduction_figures,
@@ -17,11 +18,19 @@ from imujoco_minari.benchmark.figures import (
 from imujoco_minari.benchmark.lines import Line, latest, read_lines
 from imujoco_minari.benchmark.scores import OTHERS_MARK, MethodScore, few_shot_scores, offline_scores
 from imujoco_minari.benchmark.submissions import check_submission
-from imujoco_minari.benchmark.tables import few_shot_tables, folded, offline_tables, reproduction_table
+from imujoco_minari.benchmark.tables import (
+    across_tables,
+    few_shot_tables,
+    folded,
+    offline_tables,
+    reproduction_table,
+)
 from imujoco_minari.errors import BenchmarkError, clipped
 
 _HOW = """A score is a normalised return: 0 is the random policy's and 1 the expert's of the same variant. It
-is an interquartile mean over variants and seeds, with its 95 % bootstrap interval over seeds."""
+is an interquartile mean over variants and seeds. Its 95 % bootstrap interval in parentheses is over seeds:
+read it to compare methods on these variants. The one in brackets is over variants and seeds: read it to judge
+how a method would score in other variants of the same kind."""
 _STATED = """The results are of the experts that were published before the universal policies. [The
 benchmark](benchmark.md) defines every setting and says how to submit yours."""
 _MADE = """`imujoco benchmark page` makes this page from the result lines, and `results.csv` beside it has
@@ -29,25 +38,6 @@ every score."""
 _OTHERS = (
     "† a method of others. `docs/results/others` has its lines, which `imujoco benchmark check` accepts."
 )
-_FEW_SHOT = (
-    "Few-shot imitation",
-    "How well does a method act in another variant after a few demonstrations?",
-)
-_OFFLINE = (
-    "Offline learning",
-    "How well does an algorithm act that learns from a dataset of the base robot?",
-)
-_PUBLISHED = (
-    "The published comparison",
-    "Does MAML or fine-tuning predict the actions of another variant better?",
-)
-_READ = {
-    _FEW_SHOT[0]: "Higher is better, 1 is the expert; more demonstrations are on the right.",
-    _OFFLINE[0]: "Higher is better, 1 is the expert; each group of bars is a kind of data.",
-    _PUBLISHED[
-        0
-    ]: "Lower is better; more gradient steps are on the right, and the published errors are grey.",
-}
 _REPRODUCED = """The relative error of the actions on the held-out variants of HalfCheetah, by gradient
 steps: the mean of the seeds ± their standard deviation."""
 _OTHERS_FOLDER = "others"
@@ -65,26 +55,96 @@ class Results:
     Attributes:
         few_shot: lines of few-shot imitation.
         offline: lines of offline learning.
+        across: lines of offline learning across variants.
         reproduction: lines of the published comparison.
         others: lines of the methods of others, each named by its folder with a mark.
     """
 
     few_shot: Sequence[Line]
     offline: Sequence[Line]
+    across: Sequence[Line]
     reproduction: Sequence[Line]
     others: Sequence[Line] = ()
 
     def all(self) -> list[Line]:
         """Return all lines but those of others."""
-        return [*self.few_shot, *self.offline, *self.reproduction]
+        return [*self.few_shot, *self.offline, *self.across, *self.reproduction]
 
-    def scores(self) -> tuple[list[MethodScore], list[MethodScore]]:
-        """Return the scores of the few-shot lines and those of the offline lines, with those of others."""
+    def scores(self) -> tuple[list[MethodScore], ...]:
+        """Return the scores of few-shot, of offline and of across lines, with those of others."""
         others = {name: [line for line in self.others if line["protocol"] == name] for name in _PROTOCOLS}
         return (
             few_shot_scores([*self.few_shot, *others[protocol.NAME]]),
             offline_scores([*self.offline, *others[offline.NAME]]),
+            offline_scores(self.across),
         )
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section of the page.
+
+    Attributes:
+        title: its title.
+        question: what its results answer.
+        reading: how its first figure is read.
+        lines: its lines.
+        figures: its figures.
+        tables: its tables as Markdown.
+    """
+
+    title: str
+    question: str
+    reading: str
+    lines: Sequence[Line]
+    figures: Sequence[ScoreFigure]
+    tables: str
+
+
+def sections(results: Results, scores: Sequence[Sequence[MethodScore]]) -> list[Section]:
+    """Return the sections that have lines.
+
+    Args:
+        results: the lines.
+        scores: those of the few-shot, of the offline and of the across lines.
+    """
+    few, off, across = scores
+    errors = folded("Errors of the actions", f"{_REPRODUCED}\n\n{reproduction_table(results.reproduction)}")
+    found = [
+        Section(
+            "Few-shot imitation",
+            "How well does a method act in another variant after a few demonstrations?",
+            "Higher is better, 1 is the expert; more demonstrations are on the right.",
+            results.few_shot,
+            few_shot_figures(few),
+            few_shot_tables(few),
+        ),
+        Section(
+            "Offline learning",
+            "How well does an algorithm act that learns from a dataset of the base robot?",
+            "Higher is better, 1 is the expert; each group of bars is a kind of data.",
+            results.offline,
+            offline_figures(off),
+            offline_tables(off),
+        ),
+        Section(
+            "Learning across variants",
+            "How well does an algorithm that learns from many variants act in others?",
+            "Higher is better, 1 is the expert; each group of bars is a category of held-out variants.",
+            results.across,
+            across_figures(across),
+            across_tables(across),
+        ),
+        Section(
+            "The published comparison",
+            "Does MAML or fine-tuning predict the actions of another variant better?",
+            "Lower is better; more gradient steps are on the right, and the published errors are grey.",
+            results.reproduction,
+            reproduction_figures(results.reproduction),
+            errors,
+        ),
+    ]
+    return [section for section in found if section.lines]
 
 
 def read_results(folder: Path) -> Results:
@@ -93,10 +153,13 @@ def read_results(folder: Path) -> Results:
     Raises:
         BenchmarkError: if the folder has none, a line is not a result, or lines of others have a fault.
     """
-    few, off, reproduced = (
-        latest(_named(folder / each.FILE, each.CELL), each.CELL) for each in (few_shot, offline, reproduction)
+    found = Results(
+        latest(_named(folder / few_shot.FILE, few_shot.CELL), few_shot.CELL),
+        latest(_named(folder / offline.FILE, offline.CELL), offline.CELL),
+        latest(_named(folder / offline.ACROSS_FILE, offline.CELL), offline.CELL),
+        latest(_named(folder / reproduction.FILE, reproduction.CELL), reproduction.CELL),
+        list(_others(folder / _OTHERS_FOLDER)),
     )
-    found = Results(few, off, reproduced, list(_others(folder / _OTHERS_FOLDER)))
     if not found.all():
         raise BenchmarkError(f"{folder} has no results: `imujoco benchmark few-shot` computes some")
     return found
@@ -127,47 +190,33 @@ def _others(folder: Path) -> Iterator[Line]:
             yield from ({**line, "method": own.name + OTHERS_MARK} for line in read_lines(own / each.FILE))
 
 
-def results_page(
-    results: Results, scores: tuple[Sequence[MethodScore], Sequence[MethodScore]], findings: str = ""
-) -> str:
+def results_page(results: Results, parts: Sequence[Section], findings: str = "") -> str:
     """Return the results page as Markdown: figures, findings, and folded tables and details.
 
     Args:
         results: the lines.
-        scores: those of the few-shot lines and those of the offline lines, with those of others.
+        parts: the :func:`sections` of the page.
         findings: Markdown. The text before its first heading follows the figures, and each of its sections is
             folded at the end of the page.
     """
-    few_scores, off_scores = scores
     head, *details = re.split(r"^## ", findings.strip(), flags=re.MULTILINE)
     first, tables = [], []
-    for (title, question), lines, figures, text in (
-        (_FEW_SHOT, results.few_shot, few_shot_figures(few_scores), few_shot_tables(few_scores)),
-        (_OFFLINE, results.offline, offline_figures(off_scores), offline_tables(off_scores)),
-        (
-            _PUBLISHED,
-            results.reproduction,
-            reproduction_figures(results.reproduction),
-            folded("Errors of the actions", f"{_REPRODUCED}\n\n{reproduction_table(results.reproduction)}"),
-        ),
-    ):
-        if not lines:
-            continue
+    for part in parts:
         # The amount of data is what a user chooses; a small run has no such figure.
-        lead = next((figure for figure in figures if figure.name.endswith("-data")), figures[0])
-        first += [f"**{question}**", _drawn(lead), _READ[title]]
-        tables += [f"## {title}", text]
-        if more := [_drawn(figure) for figure in figures if figure != lead]:
+        lead = next((figure for figure in part.figures if figure.name.endswith("-data")), part.figures[0])
+        first += [f"**{part.question}**", _drawn(lead), part.reading]
+        tables += [f"## {part.title}", part.tables]
+        if more := [_drawn(figure) for figure in part.figures if figure != lead]:
             tables.append(folded("More figures", "\n\n".join(more)))
-        tables.append(_note(lines))
+        tables.append(_note(part.lines))
     if details:
         tables.append("## Findings in detail")
     for each in details:
         title, _, text = each.partition("\n")
         tables.append(folded(title.strip(), text))
     marked = _OTHERS if results.others else ""
-    parts = ["# Results", _STATED, *first, head, _HOW, marked, *tables, _MADE]
-    return "\n\n".join(part.strip() for part in parts if part) + "\n"
+    texts = ["# Results", _STATED, *first, head, _HOW, marked, *tables, _MADE]
+    return "\n\n".join(text.strip() for text in texts if text) + "\n"
 
 
 def _drawn(figure: ScoreFigure) -> str:

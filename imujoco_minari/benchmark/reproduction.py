@@ -24,11 +24,11 @@ from imujoco_minari.benchmark.networks import (
     Initial,
     Loss,
     Network,
-    Update,
     cloning_loss,
     descend,
-    draw_rows,
+    draw_variants,
     forward,
+    gradient_step,
     iterate,
     new_network,
     padded,
@@ -194,7 +194,7 @@ def _adapted(
 ) -> dict[int, Network]:
     """Return the network after each number of steps, each on all rows of the support windows."""
     if method == "maml":
-        return iterate(_inner_step(), network, support, STEPS, 0)
+        return iterate(_inner_step, network, support, STEPS, 0)
     return descend(_whole_loss, network, support, STEPS, rate=tuning_rate, seed=0)
 
 
@@ -206,15 +206,9 @@ def _whole_loss(network: Network, key: Any, data: tuple[Any, ...]) -> Any:
     return _squared(network, *data)
 
 
-@cache
-def _inner_step() -> Update:
-    jax = import_jax()
-
-    def step(network: Any, key: Any, data: Any) -> Any:
-        gradient = jax.grad(_squared)(network, *data)
-        return jax.tree.map(lambda old, g: old - INNER_RATE * g, network, gradient)
-
-    return step
+def _inner_step(network: Network, key: Any, data: tuple[Any, ...]) -> Network:
+    adapted: Network = gradient_step(network, lambda own: _squared(own, *data), INNER_RATE)
+    return adapted
 
 
 @cache
@@ -226,10 +220,10 @@ def _meta_loss(query_windows: int) -> Loss:
 
     def loss(network: Network, key: Any, data: tuple[Any, ...]) -> Any:
         inputs, targets, starts, counts = data
-        which, where, many = jax.random.split(key, 3)
-        chosen = jax.random.randint(which, (TASKS,), 0, len(starts))
-        first = jnp.zeros(TASKS, int)
-        windows = draw_rows(where, first, counts[chosen] // WINDOW, most + query_windows)
+        drawing, many = jax.random.split(key)
+        chosen, windows = draw_variants(
+            drawing, jnp.zeros_like(starts), counts // WINDOW, TASKS, most + query_windows
+        )
         rows = starts[chosen][:, None, None] + WINDOW * windows[:, :, None] + jnp.arange(WINDOW)
         shots = jax.random.choice(many, jnp.array(META_SHOTS), (TASKS,))
 
@@ -241,8 +235,7 @@ def _meta_loss(query_windows: int) -> Loss:
                 errors = (forward(network, inputs[support]) - targets[support]) ** 2
                 return (weight * errors.mean(axis=(1, 2))).sum()
 
-            gradient = jax.lax.stop_gradient(jax.grad(inner)(network))
-            adapted = jax.tree.map(lambda old, g: old - INNER_RATE * g, network, gradient)
+            adapted = gradient_step(network, inner, INNER_RATE)
             return _squared(adapted, inputs[query], targets[query])
 
         return jax.vmap(after_adapting)(rows[:, :most], rows[:, most:], shots).mean()

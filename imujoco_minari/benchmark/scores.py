@@ -2,7 +2,8 @@
 
 As in rliable, a run is a seed and a task is a variant. The score of a run on a task is the mean normalised
 return of its episodes: 0 is the random policy's return and 1 that of the variant's expert. Other than in
-rliable, the bootstrap draws a seed for all variants at once, because one training serves all of them.
+rliable, the bootstrap draws a seed for all variants at once, because one training serves all of them. A
+second interval draws the variants too.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from functools import cache
 
 import numpy as np
 
-from imujoco_minari.benchmark import protocol
+from imujoco_minari.benchmark import offline, protocol
 from imujoco_minari.benchmark.lines import Line, policies_sha256
 from imujoco_minari.benchmark.methods import COMPARISONS, METHODS
 from imujoco_minari.policies.aggregates import bootstrap_interval, interquartile_mean
@@ -40,7 +41,7 @@ class MethodScore:
     """The score of one method in one setting.
 
     Attributes:
-        group: the split, or the robot of an offline dataset.
+        group: the split, or the robot of an offline dataset of its base.
         tier: the tier of the data.
         method: name of the method.
         budget: how much was demonstrated; empty for offline data.
@@ -51,6 +52,8 @@ class MethodScore:
         iqm: interquartile mean of the scores.
         low: lower end of the 95 % interval.
         high: upper end of the 95 % interval.
+        wide_low: lower end of the 95 % interval over variants and seeds.
+        wide_high: upper end of the 95 % interval over variants and seeds.
         error: median relative error of the actions; NaN for offline data.
         variants: number of variants.
         runs: number of seeds that all variants have.
@@ -65,6 +68,8 @@ class MethodScore:
     iqm: float
     low: float
     high: float
+    wide_low: float
+    wide_high: float
     error: float
     variants: int
     runs: int
@@ -109,15 +114,20 @@ def _has_own_expert(variant: Variant) -> bool:
 
 
 def offline_scores(lines: Iterable[Line]) -> list[MethodScore]:
-    """Return the scores of offline lines: on the base of a robot, on the variants, and on each category."""
+    """Return the scores of offline lines: on the base of a robot, on the variants, and on each category.
+
+    The group of a line is its robot, or the split whose training variants it has learnt from.
+    """
     returns: dict[_Key, _Values] = defaultdict(lambda: defaultdict(dict))
     for line in lines:
+        across = line["protocol"] == offline.ACROSS
+        group = offline.ACROSS_SPLIT.format(line["robot"]) if across else line["robot"]
         for variant, by_updates in line["results"].items():
             category = Variant.parse(variant).category
             for updates, result in by_updates.items():
                 score = normalised_mean(result["returns"], line["references"][variant])
                 for each in (BASE,) if category == BASE else (SHIFTED, category):
-                    key = (line["robot"], line["tier"], line["method"], "", int(updates), each)
+                    key = (group, line["tier"], line["method"], "", int(updates), each)
                     returns[key][variant][line["seed"]] = score
     return list(filter(None, (_score(key, values, float("nan")) for key, values in returns.items())))
 
@@ -134,9 +144,10 @@ def budgets_of(scores: Sequence[MethodScore]) -> list[str]:
     return [str(budget) for budget in protocol.BUDGETS if str(budget) in found]
 
 
-def in_order(methods: set[str]) -> list[str]:
+def in_order(methods: set[str], known: Iterable[str] = METHODS) -> list[str]:
     """Return methods in the order of this package's, then the others."""
-    return [m for m in METHODS if m in methods] + sorted(methods - set(METHODS))
+    own = [method for method in known if method in methods]
+    return own + sorted(methods - set(own))
 
 
 def normalised_mean(returns: Sequence[float], references: Sequence[float]) -> float:
@@ -166,5 +177,12 @@ def _score(key: _Key, values: _Values, error: float) -> MethodScore | None:
     if not seeds:
         return None
     matrix = np.array([[scores[seed] for scores in values.values()] for seed in seeds])
-    low, high = bootstrap_interval(matrix)
-    return MethodScore(*key, interquartile_mean(matrix), low, high, error, len(values), len(seeds))
+    return MethodScore(
+        *key,
+        interquartile_mean(matrix),
+        *bootstrap_interval(matrix),
+        *bootstrap_interval(matrix, tasks=True),
+        error,
+        len(values),
+        len(seeds),
+    )

@@ -21,7 +21,7 @@ from imujoco_minari.benchmark.networks import (
     Loss,
     bind,
     descend,
-    draw_rows,
+    draw_variants,
     forward,
     new_network,
     padded,
@@ -89,10 +89,8 @@ def conditioned_loss(tasks: int, rows: int) -> Loss:
     def loss(networks: Any, key: Any, data: tuple[Any, ...]) -> Any:
         encoder, policy = networks
         inputs, actions, starts, counts = data
-        which, where = jax.random.split(key)
-        chosen = jax.random.randint(which, (tasks,), 0, len(starts))
         imitated = rows // 4
-        drawn = draw_rows(where, starts[chosen], counts[chosen], rows + imitated)
+        _, drawn = draw_variants(key, starts, counts, tasks, rows + imitated)
         shown, asked = drawn[:, :rows], drawn[:, rows:]
         steps = jnp.concatenate((inputs[shown], actions[shown]), axis=-1)
         context = forward(encoder, steps).mean(axis=1, keepdims=True)

@@ -10,11 +10,13 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
+from itertools import groupby, product
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 from imujoco_minari.benchmark import few_shot, offline, protocol
-from imujoco_minari.benchmark.lines import Line
+from imujoco_minari.benchmark.lines import Line, expanded
 from imujoco_minari.errors import BenchmarkError, clipped
 from imujoco_minari.variants import EXPERT, HeldOut, held_out
 
@@ -35,19 +37,6 @@ _FEW: dict[str, type] = {
 _OFFLINE: dict[str, type] = {"method": str, "robot": str, "tier": str, "checkpoints": list, "variants": list}
 _BOTH: dict[str, type] = {"seed": int, "episodes": int, "settings": dict, "versions": dict, "results": dict}
 _BOTH |= {"data_sha256": str, "policies_sha256": str}
-# What the check of whole splits needs of a line. The rest of an untrusted line may be large.
-_KEPT = (
-    "method",
-    "settings",
-    "split",
-    "tier",
-    "variant",
-    "budget",
-    "seed",
-    "train_sha256",
-    "robot",
-    "results",
-)
 
 
 def check_submission(folder: Path) -> list[str]:
@@ -74,15 +63,18 @@ def check_submission(folder: Path) -> list[str]:
         lines: list[Line] = []
         wrong: Counter[str] = Counter()
         first: dict[str, int] = {}
-        shape = few_shot_fault if file.name == few_shot.FILE else offline_fault
+        is_few = file.name == few_shot.FILE
+        shape, kinds = (few_shot_fault, _FEW) if is_few else (offline_fault, _OFFLINE)
         try:
+            facts: dict[str, Line] = {}
             for number, text in _texts(file):
-                line = _parsed(text)
-                found = ["not a JSON object"] if line is None else shape(line)
+                line, found = _parsed(text, facts)
+                found += [] if line is None else shape(line)
                 if not text.endswith(b"\n"):
                     found = ["it has no line break at its end, so it may be incomplete"]
                 if line is not None and not found:
-                    kept = {key: line[key] for key in _KEPT if key in line}
+                    # The rest of an untrusted line may be large.
+                    kept = {key: line[key] for key in (*kinds, "seed", "settings")}
                     lines.append(kept | {"results": sorted(line["results"])})
                 for each in found:
                     fault = each if each in wrong or len(wrong) < MAX_FAULTS else "other faults"
@@ -94,9 +86,8 @@ def check_submission(folder: Path) -> list[str]:
             faults.append(f"{file.name}, line {first[fault]}: {fault} (lines: {count})")
         own = {line["method"] for line in lines}
         methods |= own
-        whole = few_shot_missing if file.name == few_shot.FILE else offline_missing
         if len(own) == 1:
-            faults += [f"{file.name}: {fault}" for fault in (*_settings(lines), *whole(lines))]
+            faults += [f"{file.name}: {fault}" for fault in (*_settings(lines), *_missing(lines))]
         if not lines and not wrong:
             faults.append(f"{file.name}: no lines")
     if len(methods) > 1:
@@ -124,14 +115,18 @@ def _texts(file: Path) -> Iterator[tuple[int, bytes]]:
             yield number, text
 
 
-def _parsed(text: bytes) -> Mapping[str, Any] | None:
+def _parsed(text: bytes, facts: dict[str, Line]) -> tuple[Line | None, list[str]]:
+    """Return the line of an entry, if it has one, and its faults."""
     try:
         # Of bytes, json would also take other encodings, which the page cannot read.
-        line = json.loads(text.decode("utf-8"))
+        entry = json.loads(text.decode("utf-8"))
     # Deep nesting exhausts the stack.
     except (ValueError, RecursionError):
-        return None
-    return line if isinstance(line, dict) else None
+        return None, ["not a JSON object"]
+    try:
+        return expanded(entry, facts), []
+    except ValueError as error:
+        return None, [str(error)]
 
 
 def few_shot_fault(line: Mapping[str, Any]) -> list[str]:
@@ -239,33 +234,24 @@ def _plain(value: object) -> bool:
     return all(isinstance(each, bool | int | float | str) for each in values)
 
 
-def few_shot_missing(lines: Sequence[Line]) -> Iterator[str]:
-    """Yield the cells that the splits of few-shot lines lack, and those that they have twice."""
-    for split, tier in sorted({(x["split"], x["tier"]) for x in lines}):
-        own = [x for x in lines if (x["split"], x["tier"]) == (split, tier)]
-        chosen = held_out(split)
-        budgets = [str(budget) for budget in budgets_of(chosen, tier)]
-        wanted = [
-            (variant, budget, seed)
-            for variant in chosen.test
-            for budget in budgets
-            for seed in range(protocol.SEEDS)
-        ]
-        cells = Counter((x["variant"], x["budget"], x["seed"]) for x in own)
-        yield from _differences(f"{split}, {tier}", wanted, cells)
-        if len({x["train_sha256"] for x in own}) > 1:
-            yield f"{split}, {tier}: some lines have training data, others none"
-        if len({tuple(x["results"]) for x in own}) > 1:
-            yield f"{split}, {tier}: the lines differ in their gradient steps"
-
-
-def offline_missing(lines: Sequence[Line]) -> Iterator[str]:
-    """Yield the seeds that offline datasets lack, and those that they have twice."""
-    for robot, tier in sorted({(x["robot"], x["tier"]) for x in lines}):
-        own = [x for x in lines if (x["robot"], x["tier"]) == (robot, tier)]
-        wanted = [(seed,) for seed in range(offline.SEEDS)]
-        cells = Counter((x["seed"],) for x in own)
-        yield from _differences(f"{robot}, {tier}", wanted, cells)
+def _missing(lines: Sequence[Line]) -> Iterator[str]:
+    """Yield the cells that the splits or datasets of lines lack, and those that they have twice."""
+    few = "split" in lines[0]
+    of_group = itemgetter("split" if few else "robot", "tier")
+    of_cell = itemgetter("variant", "budget", "seed") if few else lambda line: (line["seed"],)
+    for (group, tier), grouped in groupby(sorted(lines, key=of_group), of_group):
+        own, name = list(grouped), f"{group}, {tier}"
+        if few:
+            split = held_out(group)
+            budgets = map(str, budgets_of(split, tier))
+            wanted: list[tuple[Any, ...]] = list(product(split.test, budgets, range(protocol.SEEDS)))
+        else:
+            wanted = [(seed,) for seed in range(offline.SEEDS)]
+        yield from _differences(name, wanted, Counter(map(of_cell, own)))
+        if len({line.get("train_sha256") for line in own}) > 1:
+            yield f"{name}: some lines have training data, others none"
+        if len({tuple(line["results"]) for line in own}) > 1:
+            yield f"{name}: the lines differ in their gradient steps"
 
 
 def budgets_of(split: HeldOut, tier: str) -> Sequence[protocol.Budget]:

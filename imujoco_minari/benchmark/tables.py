@@ -9,7 +9,7 @@ from operator import itemgetter
 from imujoco_minari.benchmark import reproduction
 from imujoco_minari.benchmark.lines import Line
 from imujoco_minari.benchmark.methods import COMPARISONS
-from imujoco_minari.benchmark.offline import ALGORITHMS, SHIFTED_TIER, TIERS
+from imujoco_minari.benchmark.offline import ACROSS_ALGORITHMS, ALGORITHMS, ALL_TIERS, SHIFTED_TIER
 from imujoco_minari.benchmark.scores import (
     ALL,
     OWN_EXPERT,
@@ -62,8 +62,7 @@ def variant_tables(lines: Sequence[Line]) -> dict[str, list[Table]]:
 
 def offline_tables(scores: Sequence[MethodScore]) -> str:
     """Return Markdown tables of offline scores, folded: on each base robot, and on other variants."""
-    present = {score.method for score in scores}
-    methods = [m for m in ALGORITHMS if m in present] + sorted(present - set(ALGORITHMS))
+    methods = in_order({score.method for score in scores}, ALGORITHMS)
     steps = sorted({score.steps for score in scores})
     found = {(s.group, s.tier, s.category, s.steps, s.method): s for s in scores}
 
@@ -72,7 +71,7 @@ def offline_tables(scores: Sequence[MethodScore]) -> str:
 
     parts = []
     for robot in ROBOTS:
-        tiers = [tier for tier in TIERS if any((s.group, s.tier) == (robot, tier) for s in scores)]
+        tiers = [tier for tier in ALL_TIERS if any((s.group, s.tier) == (robot, tier) for s in scores)]
         rows = [[t, f"{number:,}", *cells(robot, t, BASE, number)] for t in tiers for number in steps]
         if rows:
             text = table(["data", "updates", *methods], rows)
@@ -86,6 +85,25 @@ def offline_tables(scores: Sequence[MethodScore]) -> str:
     if rows:
         caption = f"From {SHIFTED_TIER} data of the base to other variants, after {steps[-1]:,} updates"
         parts.append(folded(caption, table(["robot", "variants", *methods], rows)))
+    return "\n\n".join(parts)
+
+
+def across_tables(scores: Sequence[MethodScore]) -> str:
+    """Return Markdown tables of scores in held-out variants, folded by split."""
+    methods = in_order({score.method for score in scores}, ACROSS_ALGORITHMS)
+    parts = []
+    for group in dict.fromkeys(score.group for score in scores):
+        own = {(s.category, s.steps, s.method): s for s in scores if s.group == group}
+        steps = sorted({key[1] for key in own})
+        places = [(SHIFTED, number) for number in steps] + [(each, steps[-1]) for each in CATEGORIES]
+        rows = [
+            [category, f"{number:,}", *(_cell(own.get((category, number, method))) for method in methods)]
+            for category, number in places
+            if any(key[:2] == (category, number) for key in own)
+        ]
+        count = max(score.variants for score in own.values())
+        text = table(["held-out variants", "updates", *methods], rows)
+        parts.append(folded(f"{group}, {SHIFTED_TIER}, {count} held-out variants", text))
     return "\n\n".join(parts)
 
 
@@ -131,7 +149,13 @@ def _by_budget(scores: Sequence[MethodScore]) -> tuple[list[str], list[list[str]
 def _cell(score: MethodScore | None) -> str:
     if score is None:
         return ""
+    middle, *ends = (_rounded(x) for x in (*score.interval, score.wide_low, score.wide_high))
+    # One run or one variant has no interval.
+    seeds = f" ({ends[0]} to {ends[1]})" if score.runs > 1 else ""
+    variants = f" [{ends[2]} to {ends[3]}]" if score.runs > 1 and score.variants > 1 else ""
+    return middle + seeds + variants
+
+
+def _rounded(value: float) -> str:
     # Adding 0.0 turns -0.0 into 0.0.
-    middle, low, high = (round(value, 2) + 0.0 for value in score.interval)
-    # One run has no interval.
-    return f"{middle:.2f}" if score.runs == 1 else f"{middle:.2f} ({low:.2f} to {high:.2f})"
+    return f"{round(value, 2) + 0.0:.2f}"

@@ -4,85 +4,57 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, ClassVar
 
-import numpy as np
-
-from imujoco_minari.benchmark.cloning import robust_statistics
-from imujoco_minari.benchmark.critics import (
-    critic_error,
-    draw_transitions,
-    follow,
-    new_critics,
-    run_updates,
-    transition_data,
-    values,
-)
+from imujoco_minari.benchmark.critics import ActorCritic, critic_error, draw_transitions, values
 from imujoco_minari.benchmark.networks import (
-    Initial,
+    Network,
     Update,
-    adam,
     forward,
-    minimise,
-    new_policy,
-    to_actor,
+    import_optax,
+    learner,
+    minimised,
 )
-from imujoco_minari.loading import Arrays
-from imujoco_minari.policies import Actor
 from imujoco_minari.training.agents import import_jax
 
 
 @dataclass(frozen=True)
-class Td3Bc:
+class Td3Bc(ActorCritic):
     """TD3+BC with the paper's hyperparameters, but half its batch.
 
+    The critics are updated each time; the actor and the target networks are updated every second time.
+
     Attributes:
-        seed: seed of the weights, the batches and the noise.
-        checkpoints: numbers of updates after which the policy is kept. The critics are updated each time, and
-            the actor every second time.
-        rate: learning rate.
-        batch: rows of a batch.
-        discount: discount factor.
-        follow_share: share by which a target network follows at each update of the actor.
         noise: standard deviation of the noise on the target's actions.
         noise_limit: largest noise on the target's actions.
         weight: weight of the critic's value, relative to its mean size, against the imitation.
-        initial: distribution of the initial weights.
     """
 
-    seed: int
-    checkpoints: tuple[int, ...]
-    rate: float = 3e-4
-    batch: int = 128
-    discount: float = 0.99
-    follow_share: float = 0.005
     noise: float = 0.2
     noise_limit: float = 0.5
     weight: float = 2.5
-    initial: Initial = "pytorch"
+    name: ClassVar[str] = "TD3+BC"
 
-    def train(self, data: Arrays) -> dict[int, Actor]:
-        """Return the policy at each checkpoint."""
-        statistics = robust_statistics(data.observations)
-        observation, action = data.observations.shape[1], data.actions.shape[1]
-        actor = new_policy(data.observations, data.actions, self.seed, self.initial)
-        critics = new_critics(observation, action, self.seed, self.initial)
-        moments = (adam().init(actor), adam().init(critics))
-        state = (np.int32(0), actor, critics, actor, critics, moments)
-        states = run_updates(self, _update, state, transition_data(data, statistics))
-        return {updates: to_actor(state[1], statistics, "TD3+BC") for updates, state in states.items()}
+    def first_state(self, policy: Network, critics: Any) -> Any:
+        """Return actor and critics, and the networks that follow them."""
+        actor = {"network": policy}
+        return learner(actor, self.rate), learner(critics, self.rate), actor, critics
+
+    def update(self) -> Update:
+        """Return the update of the state."""
+        return _update(self)
 
 
 @cache
 def _update(settings: Td3Bc) -> Update:
-    jax = import_jax()
+    jax, optax = import_jax(), import_optax()
     jnp = jax.numpy
 
-    def act(network: Any, observations: Any) -> Any:
-        return jnp.tanh(forward(network, observations))
+    def act(actor: Any, observations: Any) -> Any:
+        return jnp.tanh(forward(actor["network"], observations))
 
     def update(state: Any, key: Any, data: Any) -> Any:
-        number, actor, critics, target_actor, target_critics, (actor_moments, critic_moments) = state
+        actor, critics, target_actor, target_critics = state
         draw, blur = jax.random.split(key)
         observations, actions, rewards, following, ended = draw_transitions(draw, data, settings.batch)
         noise = settings.noise * jax.random.normal(blur, actions.shape)
@@ -90,31 +62,22 @@ def _update(settings: Td3Bc) -> Update:
         next_actions = jnp.clip(act(target_actor, following) + noise, -1.0, 1.0)
         least = jnp.minimum(*values(target_critics, following, next_actions))
         target = rewards + settings.discount * (1.0 - ended) * least
+        critics = minimised(critics, lambda own: critic_error(own, observations, actions, target))
 
-        def critic_loss(critics: Any) -> Any:
-            return critic_error(critics, observations, actions, target)
-
-        critics, critic_moments = minimise(critic_loss, critics, critic_moments, settings.rate)
-
-        def actor_loss(actor: Any) -> Any:
-            chosen = act(actor, observations)
-            value, _ = values(critics, observations, chosen)
+        def actor_loss(own: Any) -> Any:
+            chosen = act(own, observations)
+            value, _ = values(critics.params, observations, chosen)
             scale = settings.weight / jax.lax.stop_gradient(jnp.abs(value).mean())
             return -scale * value.mean() + ((chosen - actions) ** 2).mean()
 
-        def with_actor(parts: Any) -> Any:
-            actor, moments, target_actor, target_critics = parts
-            actor, moments = minimise(actor_loss, actor, moments, settings.rate)
-            return (
-                actor,
-                moments,
-                follow(target_actor, actor, settings.follow_share),
-                follow(target_critics, critics, settings.follow_share),
-            )
+        def with_actor(actor: Any, *targets: Any) -> Any:
+            actor = minimised(actor, actor_loss)
+            newest = (actor.params, critics.params)
+            return actor, *optax.incremental_update(newest, targets, settings.follow_share)
 
-        parts = (actor, actor_moments, target_actor, target_critics)
-        parts = jax.lax.cond(number % 2 == 1, with_actor, lambda parts: parts, parts)
-        actor, actor_moments, target_actor, target_critics = parts
-        return number + 1, actor, critics, target_actor, target_critics, (actor_moments, critic_moments)
+        actor, *targets = jax.lax.cond(
+            critics.step % 2 == 0, with_actor, lambda *parts: parts, actor, target_actor, target_critics
+        )
+        return actor, critics, *targets
 
     return update

@@ -6,6 +6,7 @@ import math
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -54,6 +55,14 @@ def few_shot(
         list[str] | None,
         typer.Option("--setting", metavar="NAME=VALUE", help="A setting of the methods; may be repeated."),
     ] = None,
+    demonstrations: Annotated[
+        str | None,
+        typer.Option(
+            "--demonstrations",
+            metavar="TIER",
+            help="Another tier of the demonstrations, as of other experts.",
+        ),
+    ] = None,
     validation: Annotated[
         bool, typer.Option("--validation", help="Hold out every fifth training variant instead.")
     ] = False,
@@ -70,8 +79,9 @@ def few_shot(
     again while its data, policies, settings and versions are the same. Datasets that are missing are
     published first. Without options, it runs all cells of few-shot-v1 with the tier expert, which takes
     hours. --held-out without --split takes the first split that holds the variant out, the extremes first.
-    --method takes your own class as <module>:<Class>. To choose settings, use --setting with --validation,
-    which evaluates on training variants alone.
+    --method takes your own class as <module>:<Class>. --demonstrations takes any tier that is in the Minari
+    root, so `imujoco publish VARIANT --tier other --policy FILE` adds demonstrators of your own. To choose
+    settings, use --setting with --validation, which evaluates on training variants alone.
 
     Examples: `imujoco benchmark few-shot --split hopper-random-v1 --jobs 2`,
     `imujoco benchmark few-shot -m scratch --held-out hopper-frictiondec_50_feet --budget 5x100 --seeds 1`
@@ -96,6 +106,7 @@ def few_shot(
         [Budget.parse(budget) for budget in budgets] if budgets else None,
         range(seeds or SEEDS),
         variants,
+        demonstrations=demonstrations,
     )
     recipes = _recipes(grid.dataset_ids())
     _say_cost(grid, recipes, jobs, dry_run=dry_run, as_json=as_json)
@@ -116,26 +127,44 @@ def offline(
     jobs: Jobs = 1,
     output: Output = None,
     dry_run: DryRun = False,
+    across: Annotated[
+        bool, typer.Option("--across", help="Learn from all training variants of the random splits.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Run offline reinforcement learning on the bases' datasets.
+    """Run offline reinforcement learning on the bases' datasets, or across variants.
 
     Each algorithm learns from a dataset and is evaluated on the base robot; after medium-expert data also
     on four variants. It is evaluated after a tenth, a fifth, two fifths and all of the updates. Each cell
     becomes a line of offline.jsonl in the folder `results`, unless --output names another. A killed run
-    continues where it stopped. Datasets that are missing are published first.
+    continues where it stopped. Datasets that are missing are published first. --across learns from the
+    medium-expert data of all training variants of the random split, and is evaluated on those held out; its
+    lines are in across.jsonl. --method takes your own class as <module>:<Class>.
 
     Example: `imujoco benchmark offline --method td3+bc --base hopper --tier medium-expert --seeds 1`
     """
-    from imujoco_minari.benchmark.offline import ALGORITHMS, SEEDS, TIERS, UPDATES, OfflineGrid, run_offline
+    from imujoco_minari.benchmark.methods import find_method
+    from imujoco_minari.benchmark.offline import (
+        ACROSS_ALGORITHMS,
+        ALGORITHMS,
+        SEEDS,
+        SHIFTED_TIER,
+        TIERS,
+        UPDATES,
+        OfflineGrid,
+        run_offline,
+    )
     from imujoco_minari.benchmark.scores import offline_scores
 
+    sys.path.insert(0, str(Path.cwd()))
+    known = ACROSS_ALGORITHMS if across else ALGORITHMS
     grid = OfflineGrid(
-        methods or tuple(ALGORITHMS),
+        {name: find_method(name, known) for name in methods or known},
         robots or ROBOTS,
-        tiers or TIERS,
+        tiers or ([SHIFTED_TIER] if across else TIERS),
         range(seeds or SEEDS),
         updates or UPDATES,
+        across=across,
     )
     _say_cost(grid, grid.recipes(), jobs, dry_run=dry_run, as_json=as_json)
     _publish(grid.recipes(), jobs, quiet=as_json)
@@ -189,8 +218,7 @@ def table(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = Fal
     from imujoco_minari.storage.files import write_text
 
     results = read_results(folder)
-    few_scores, off_scores = results.scores()
-    scores, rows = few_scores + off_scores, comparison(results.reproduction)
+    scores, rows = list(chain(*results.scores())), comparison(results.reproduction)
     if output is not None:
         write_text(output, to_csv(scores))
     if as_json:
@@ -211,26 +239,24 @@ def page(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = Fals
 
     Example: `imujoco benchmark page results --output docs`
     """
-    from imujoco_minari.benchmark.figures import few_shot_figures, offline_figures, reproduction_figures
-    from imujoco_minari.benchmark.page import read_results, results_page
+    from imujoco_minari.benchmark.page import read_results, results_page, sections
     from imujoco_minari.benchmark.scores import to_csv
     from imujoco_minari.pictures.plotting.scores import plot_scores
     from imujoco_minari.storage.files import write_text
 
     results = read_results(folder)
     scores = results.scores()
+    parts = sections(results, scores)
     target = output or Path("docs")
-    figures = few_shot_figures(scores[0]) + offline_figures(scores[1])
-    figures += reproduction_figures(results.reproduction)
     files: list[Path] = []
-    for figure in figures:
+    for figure in (figure for part in parts for figure in part.figures):
         labels = (figure.title, figure.x_label, figure.y_label)
         stem = target / "results-figures" / figure.name
         files += plot_scores(figure.panels, figure.ticks, labels, stem, figure.reference)
     findings = folder / "findings.md"
     found = findings.read_text("utf-8") if findings.exists() else ""
-    write_text(target / "results.md", results_page(results, scores, found))
-    write_text(target / "results.csv", to_csv(scores[0] + scores[1]))
+    write_text(target / "results.md", results_page(results, parts, found))
+    write_text(target / "results.csv", to_csv(chain(*scores)))
     files += [target / "results.md", target / "results.csv"]
     _say_changed(results.all())
     if as_json:
@@ -286,9 +312,13 @@ def _say_changed(lines: Sequence[Line]) -> None:
 
 
 def _recipes(dataset_ids: Sequence[str]) -> list[Recipe]:
+    """Return the recipes of the datasets that this package can make."""
+    from imujoco_minari.policies.tiers import TIERS
     from imujoco_minari.publishing.recipes import Recipe
 
-    return [Recipe(*parse_dataset_id(dataset_id)) for dataset_id in dataset_ids]
+    named = map(parse_dataset_id, dataset_ids)
+    # A tier of the user's own must already be in the root: nothing says which policy makes it.
+    return [Recipe(variant, tier) for variant, tier in named if tier in TIERS]
 
 
 def _publish(recipes: Sequence[Recipe], jobs: int, *, trains: bool = True, quiet: bool) -> None:
@@ -298,11 +328,11 @@ def _publish(recipes: Sequence[Recipe], jobs: int, *, trains: bool = True, quiet
         DependencyError: if networks will be trained, and a package for that is not installed.
         BenchmarkError: if the root has a dataset of another recipe with the same id, or one cannot be made.
     """
-    from imujoco_minari.benchmark.networks import adam
+    from imujoco_minari.benchmark.networks import import_optax
     from imujoco_minari.publishing.publisher import publish_all
 
     if trains:
-        adam()
+        import_optax()
     outcomes = publish_all(recipes, jobs=jobs)
     for outcome in advancing(outcomes, "preparing datasets", len(recipes), quiet=quiet):
         if outcome.error:

@@ -30,24 +30,26 @@ def interquartile_mean(values: ArrayLike) -> float:
     return float(_interquartile_means(_rows(values).reshape(1, -1))[0])
 
 
-def bootstrap_interval(values: ArrayLike, *, seed: int = 0) -> tuple[float, float]:
+def bootstrap_interval(values: ArrayLike, *, seed: int = 0, tasks: bool = False) -> tuple[float, float]:
     """Return the 95 % percentile bootstrap interval of the interquartile mean.
 
     Args:
         values: of shape (n,) or (n, tasks): n episodes or runs, of one or of several tasks. A run is drawn
             with the values of all its tasks, because they share what the run has learnt.
         seed: of the 2000 resamples.
+        tasks: draw the tasks too, so that the interval is of other tasks of the same kind.
 
     Raises:
         ArgumentError: when there are no values.
     """
     rows = _rows(values)
     rng = np.random.default_rng(seed)
-    count = len(rows)
-    means = [
-        _interquartile_means(rows[rng.integers(count, size=(size, count))].reshape(size, -1))
-        for size in [100] * (RESAMPLES // 100)
-    ]
+    count, width = rows.shape
+    means = []
+    for size in [100] * (RESAMPLES // 100):
+        runs = rng.integers(count, size=(size, count))[:, :, None]
+        columns = rng.integers(width, size=(size, 1, width)) if tasks else np.arange(width)
+        means.append(_interquartile_means(rows[runs, columns].reshape(size, -1)))
     low, high = np.quantile(np.concatenate(means), [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
     return float(low), float(high)
 

@@ -33,6 +33,9 @@ from imujoco_minari.variants import EXPERT, Variant
 EXPERT_STOCHASTIC, RANDOM, MEDIUM = "expert-stochastic", "random", "medium"
 MEDIUM_EXPERT, RANKED, MEDIUM_REPLAY, REPLAY = "medium-expert", "ranked", "medium-replay", "replay"
 TIERS = (EXPERT, EXPERT_STOCHASTIC, MEDIUM, RANDOM, MEDIUM_EXPERT, RANKED, MEDIUM_REPLAY, REPLAY)
+# These have the policies of the tier without the ending, and are meant to have more episodes.
+LARGE = "-large"
+LARGE_TIERS = (MEDIUM + LARGE, MEDIUM_EXPERT + LARGE)
 # Tiers that are recorded while a policy is trained.
 RECORDED = (MEDIUM_REPLAY, REPLAY)
 
@@ -141,11 +144,12 @@ def _makers(variant: Variant, tier: str, path: str | Path | None, stochastic: bo
             f"no single policy makes the tier {tier}: it is recorded while a policy is trained, "
             f"with `{making(variant.dataset_id(tier))}`"
         )
+    tier = tier.removesuffix(LARGE) if tier in LARGE_TIERS else tier
     if not isinstance(tier, str) or tier not in _MAKERS:
         near = suggestion(tier, TIERS) if isinstance(tier, str) else ""
         raise PolicyNotFoundError(
             f"no policy makes the tier {tier!r}{near}; "
-            f"valid: {', '.join(TIERS)}, or any name with --policy FILE"
+            f"valid: {', '.join((*TIERS, *LARGE_TIERS))}, or any name with --policy FILE"
         )
     return _MAKERS[tier](variant, not stochastic)
 

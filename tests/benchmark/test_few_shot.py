@@ -14,13 +14,15 @@ import pytest
 from imujoco_minari.benchmark.checks import changes
 from imujoco_minari.benchmark.cloning import BaseExpert, MultiVariant, Scratch
 from imujoco_minari.benchmark.few_shot import FILE, FewShotGrid, run_few_shot
-from imujoco_minari.benchmark.lines import Line, append_lines, read_lines, run_lines
+from imujoco_minari.benchmark.history import History
+from imujoco_minari.benchmark.lines import Line, append_lines, identity, read_lines, run_lines
 from imujoco_minari.benchmark.maml import Maml
 from imujoco_minari.benchmark.methods import METHODS, NewMethod, find_method
 from imujoco_minari.benchmark.protocol import Budget
 from imujoco_minari.benchmark.set_encoder import SetEncoder
 from imujoco_minari.errors import BenchmarkError, StorageError
 from imujoco_minari.loading import Arrays
+from imujoco_minari.policies import random_policy
 from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.variants import HeldOut
 
@@ -36,6 +38,7 @@ TINY: Mapping[str, NewMethod] = {
     "told": partial(MultiVariant, fit_steps=2, told=True),
     "maml": partial(Maml, fit_steps=2, tasks=2, rows=4, steps=STEPS),
     "set-encoder": partial(SetEncoder, fit_steps=2, tasks=2, rows=4),
+    "history": partial(History, fit_steps=2, steps=STEPS, window=4, units=8, sequences=2),
 }
 
 
@@ -53,7 +56,7 @@ def test_one_tiny_cell_of_each_method(tmp_path: Path) -> None:
     lines = {line["method"]: line for line in run_few_shot(tiny_grid(), tmp_path)}
     assert set(lines) == set(METHODS)
     steps = {"scratch": ["1", "3"]} | {
-        name: ["0", "1", "3"] for name in ("base-expert", "multi-variant", "maml")
+        name: ["0", "1", "3"] for name in ("base-expert", "multi-variant", "maml", "history")
     }
     for name, line in lines.items():
         assert list(line["results"]) == steps.get(name, ["0"])
@@ -61,6 +64,7 @@ def test_one_tiny_cell_of_each_method(tmp_path: Path) -> None:
             assert len(result["returns"]) == 2
     # Experts and random policies score as such, whatever is demonstrated.
     assert lines["expert"]["results"]["0"]["returns"][0] > 2000
+    assert lines["universal"]["results"]["0"]["returns"][0] > 2000
     assert lines["random"]["results"]["0"]["returns"][0] < 200
 
 
@@ -82,13 +86,15 @@ def test_a_killed_run_continues_and_computes_nothing_twice(tmp_path: Path) -> No
     lines = run_few_shot(grid, tmp_path)
     path = tmp_path / FILE
     whole = path.read_text("utf-8").splitlines(keepends=True)
-    assert len(whole) == len(lines) == grid.cells() == 3
-    path.write_text("".join(whole[:2]) + whole[2][:50], "utf-8")
+    assert len(lines) == grid.cells() == 3
+    # Two methods and one dataset are stated before the lines that name them.
+    assert len(whole) == 6
+    path.write_text("".join(whole[:-1]) + whole[-1][:50], "utf-8")
     advanced: list[int] = []
     again = run_few_shot(grid, tmp_path, on_cells=advanced.append)
     assert advanced == [2, 1]
     assert [line["results"] for line in read_lines(path)] == [line["results"] for line in lines]
-    assert sorted(map(str, again)) == sorted(str(line) for line in read_lines(path))
+    assert sorted(again, key=identity) == sorted(read_lines(path), key=identity)
 
 
 @pytest.mark.usefixtures("small_datasets")
@@ -106,6 +112,23 @@ def test_a_changed_dataset_or_setting_no_longer_matches(tmp_path: Path) -> None:
     run_few_shot(tiny_grid("random", "expert"), tmp_path, on_cells=advanced.append)
     assert advanced == [0, 1, 1]
     assert len(read_lines(tmp_path / FILE)) == 4
+
+
+@pytest.mark.usefixtures("small_datasets")
+def test_demonstrations_of_another_tier_leave_the_training_data(tmp_path: Path) -> None:
+    publish("hopper-frictiondec_50_feet", tier="control", episodes=4, seed=9, policy=random_policy("hopper"))
+    usual = run_few_shot(tiny_grid("multi-variant"), tmp_path)[0]
+    other = run_few_shot(tiny_grid("multi-variant", demonstrations="control"), tmp_path)[0]
+    assert (other["tier"], other["train_tier"]) == ("control", "random")
+    assert "train_tier" not in usual
+    assert other["train_sha256"] == usual["train_sha256"]
+    assert other["data_sha256"] != usual["data_sha256"]
+    # The same policy before the first step, and another after it.
+    returns = [[line["results"][steps]["returns"] for steps in ("0", "3")] for line in (usual, other)]
+    assert returns[0][0] == returns[1][0]
+    assert returns[0][1] != returns[1][1]
+    # The tiny settings differ from the package's; the data do not.
+    assert changes([usual, other]) == ["the settings of multi-variant have changed (lines: 2)"]
 
 
 @pytest.mark.usefixtures("small_datasets")
@@ -155,7 +178,7 @@ def test_a_damaged_line_is_named(tmp_path: Path) -> None:
     path = tmp_path / FILE
     append_lines(path, [{"results": {}}])
     path.write_text(path.read_text("utf-8") + json.dumps([1]) + "\n", "utf-8")
-    with pytest.raises(BenchmarkError, match="line 2: not a result"):
+    with pytest.raises(BenchmarkError, match="line 3: not a result"):
         read_lines(path)
 
 

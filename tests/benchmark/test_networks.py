@@ -82,5 +82,8 @@ def test_initial_weights_are_uniform_and_have_their_variance(
 def test_rows_are_drawn_within_their_blocks(counts: tuple[int, int]) -> None:
     jax = networks.import_jax()
     starts = np.array([0, counts[0]], np.int32)
-    rows = np.asarray(networks.draw_rows(jax.random.key(0), starts, np.array(counts, np.int32), 50))
-    assert [set(block) for block in rows.tolist()] == [set(range(counts[0])), set(range(counts[0], 4))]
+    key = jax.random.key(0)
+    chosen, rows = networks.draw_variants(key, jax.numpy.asarray(starts), jax.numpy.asarray(counts), 20, 50)
+    assert set(chosen.tolist()) == {0, 1}
+    blocks = [set(range(counts[0])), set(range(counts[0], 4))]
+    assert [set(block) for block in rows.tolist()] == [blocks[place] for place in chosen.tolist()]

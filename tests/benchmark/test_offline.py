@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,22 @@ from synthetic_arrays import BASE
 
 from imujoco_minari.benchmark.checks import changes
 from imujoco_minari.benchmark.iql import Iql
-from imujoco_minari.benchmark.offline import ALGORITHMS, OfflineGrid, run_offline
+from imujoco_minari.benchmark.lines import read_lines
+from imujoco_minari.benchmark.methods import find_method
+from imujoco_minari.benchmark.offline import (
+    ACROSS_ALGORITHMS,
+    ACROSS_FILE,
+    ALGORITHMS,
+    OfflineGrid,
+    Told,
+    run_offline,
+)
 from imujoco_minari.benchmark.offline_cloning import Cloning
+from imujoco_minari.benchmark.scores import offline_scores
 from imujoco_minari.benchmark.td3_bc import Td3Bc
 from imujoco_minari.errors import BenchmarkError
-from imujoco_minari.loading import Arrays
+from imujoco_minari.loading import Arrays, Origin
+from imujoco_minari.variants import HeldOut, Variant
 
 BEST = 0.6
 
@@ -37,6 +49,28 @@ def bandit() -> Arrays:
         variant_index=np.zeros(count, np.int32),
         episode_starts=np.arange(count),
         table=(BASE,),
+    )
+
+
+def bodies(percents: list[int]) -> Arrays:
+    """One episode of Hopper for each mass of the leg; all actions are half the sign of the change."""
+    rng, rows = np.random.default_rng(0), 100 * len(percents)
+    observations = rng.normal(size=(rows, 11)).astype(np.float32)
+    sign = np.repeat(np.sign(percents), 100)
+    names = [f"hopper-mass{'inc' if percent > 0 else 'dec'}_{abs(percent)}_leggeom" for percent in percents]
+    return Arrays(
+        observations=observations,
+        actions=np.repeat(0.5 * sign[:, None], 3, axis=1).astype(np.float32),
+        rewards=np.ones(rows, np.float32),
+        next_observations=observations,
+        terminations=np.zeros(rows, bool),
+        truncations=np.arange(rows) % 100 == 99,
+        variant_index=np.repeat(np.arange(len(percents)), 100).astype(np.int32),
+        episode_starts=np.arange(0, rows, 100),
+        table=tuple(
+            Origin(name, "hopper", "mass", "leggeom", percent, "random")
+            for name, percent in zip(names, percents, strict=True)
+        ),
     )
 
 
@@ -66,7 +100,7 @@ def test_the_best_episodes_are_chosen_by_their_returns() -> None:
 def test_one_tiny_cell_of_each_algorithm(
     monkeypatch: pytest.MonkeyPatch, small_datasets: list[str], tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("imujoco_minari.benchmark.offline.TIERS", ("random",))
+    monkeypatch.setattr("imujoco_minari.benchmark.offline.ALL_TIERS", ("random",))
     monkeypatch.setattr("imujoco_minari.benchmark.offline.SHIFTED_TIER", "random")
     grid = OfflineGrid(robots=["hopper"], tiers=["random"], seeds=[0], updates=2, episodes=1)
     advanced: list[int] = []
@@ -78,15 +112,47 @@ def test_one_tiny_cell_of_each_algorithm(
     assert advanced == [0, 1, 1, 1, 1, 4]
 
 
+@pytest.mark.usefixtures("small_datasets")
+def test_one_tiny_cell_of_each_algorithm_across_variants(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("imujoco_minari.benchmark.offline.SHIFTED_TIER", "random")
+    split = HeldOut(
+        "mine", train=["hopper-base", "hopper-massdec_25_leggeom"], test=["hopper-frictiondec_50_feet"]
+    )
+    monkeypatch.setattr("imujoco_minari.benchmark.offline.held_out", lambda name: split)
+    grid = OfflineGrid(ACROSS_ALGORITHMS, ["hopper"], ["random"], [0], updates=2, episodes=1, across=True)
+    lines = run_offline(grid, tmp_path)
+    assert [list(line["results"]) for line in lines] == [["hopper-frictiondec_50_feet"]] * 4
+    assert [line["settings"].get("told") for line in lines] == [None, None, True, True]
+    assert changes(lines) == []
+    assert read_lines(tmp_path / ACROSS_FILE) == lines
+    scores = offline_scores(lines)
+    assert {score.group for score in scores} == {"hopper-random-v1"}
+    assert {score.category for score in scores} == {"shifted", "friction"}
+
+
+def test_a_policy_that_is_told_the_variant_acts_by_it() -> None:
+    """The action is the sign of the variant's change, which no observation shows."""
+    data = bodies([-50, 50])
+    policy = Told(partial(Cloning, rate=1e-3, batch=64), 0, (300,)).train(data)[300]
+    for percent in (-50, 50):
+        variant = Variant.parse(f"hopper-mass{'inc' if percent > 0 else 'dec'}_50_leggeom")
+        action = policy.fold(variant).act(data.observations[0], np.random.default_rng(0))
+        np.testing.assert_allclose(action, 0.5 * np.sign(percent), atol=0.1)
+
+
 def test_data_with_deterministic_actions_are_refused(root: Path, tmp_path: Path) -> None:
     publish_actors(["imujoco/hopper-base-medium-v0"], root, episodes=2)
-    grid = OfflineGrid(methods=["bc"], robots=["hopper"], tiers=["medium"], seeds=[0], updates=2, episodes=1)
+    grid = OfflineGrid(
+        methods={"bc": Cloning}, robots=["hopper"], tiers=["medium"], seeds=[0], updates=2, episodes=1
+    )
     with pytest.raises(BenchmarkError, match="publish hopper-base --tier medium --stochastic --force"):
         run_offline(grid, tmp_path)
 
 
 def test_a_grid_names_the_valid_choices() -> None:
-    with pytest.raises(BenchmarkError, match=r"no algorithm 'cql' here; valid: bc, bc-10%, td3\+bc, iql"):
-        OfflineGrid(methods=["cql"])
+    with pytest.raises(BenchmarkError, match=r"no method 'cql'.*; valid: bc, bc-10%, td3\+bc, iql, or <mod"):
+        find_method("cql", ALGORITHMS)
     with pytest.raises(BenchmarkError, match="no tier 'expert' here; valid: medium, medium-replay"):
         OfflineGrid(tiers=["expert"])

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from imujoco_minari.benchmark.figures import few_shot_figures, offline_figures, reproduction_figures
-from imujoco_minari.benchmark.page import Results, results_page
+from imujoco_minari.benchmark.figures import few_shot_figures
+from imujoco_minari.benchmark.page import Results, results_page, sections
 from imujoco_minari.benchmark.reproduction import SHOTS, STEPS
 from imujoco_minari.benchmark.scores import few_shot_scores, offline_scores, to_csv
 from imujoco_minari.benchmark.tables import few_shot_tables
@@ -69,6 +69,13 @@ REPRODUCED = [
     }
     for seed in (0, 1)
 ]
+ACROSS = [
+    offline_line(method, seed, 0.4 + seed / 10)
+    | {"protocol": "across-v1"}
+    | {"results": {"hopper-frictiondec_50_feet": {str(n): {"returns": [n * (4.0 + seed)]} for n in (5, 10)}}}
+    for method in ("bc", "bc-told")
+    for seed in (0, 1)
+]
 OFF = [offline_line(method, seed, 0.4 + seed / 10) for method in ("bc", "iql") for seed in (0, 1)]
 
 
@@ -87,6 +94,19 @@ def test_a_score_is_the_interquartile_mean_over_variants_and_seeds() -> None:
     assert (
         scores["told", "1x100", 0, "all"].low == scores["told", "1x100", 0, "all"].high == pytest.approx(0.8)
     )
+
+
+def test_the_interval_over_variants_contains_their_spread() -> None:
+    """Two seeds agree and three variants differ: the interval over seeds is a point, the other is not."""
+    lines = [
+        few_shot_line("maml", variant, seed, place / 10)
+        for place, variant in enumerate(VARIANTS)
+        for seed in (0, 1)
+    ]
+    (score,) = (s for s in few_shot_scores(lines) if (s.category, s.steps) == ("all", 0))
+    assert score.interval == pytest.approx((0.1, 0.1, 0.1))
+    assert (score.wide_low, score.wide_high) == pytest.approx((0.0, 0.2))
+    assert "| maml | 0 | 0.10 (0.10 to 0.10) [0.00 to 0.20] |" in few_shot_tables([score])
 
 
 def test_a_seed_that_a_variant_lacks_is_left_out() -> None:
@@ -124,10 +144,11 @@ def test_figures_of_few_shot_scores_need_more_than_one_budget_or_tier() -> None:
 def test_the_page_has_every_method_and_its_files_are_reproducible(tmp_path: Path) -> None:
     from imujoco_minari.pictures.plotting.scores import plot_scores
 
-    few_scores, off_scores = few_shot_scores(FEW), offline_scores(OFF)
-    results = Results(FEW, OFF, REPRODUCED)
-    text = results_page(results, (few_scores, off_scores), "What was found.")
-    assert text == results_page(results, (few_shot_scores(FEW), offline_scores(OFF)), "What was found.")
+    few_scores = few_shot_scores(FEW)
+    results = Results(FEW, OFF, ACROSS, REPRODUCED)
+    parts = sections(results, results.scores())
+    text = results_page(results, parts, "What was found.")
+    assert text == results_page(results, sections(results, results.scores()), "What was found.")
     assert text.index("![") < text.index("What was found.") < text.index("<details>")
     assert "| mine | 25 | 0.15 (" in text
     assert "2 of 3 held-out variants with an expert of their own:" in text
@@ -135,13 +156,16 @@ def test_the_page_has_every_method_and_its_files_are_reproducible(tmp_path: Path
     assert "1 of 1 held-out variants:" in few_shot_tables(few_shot_scores(shared))
     without = [line for line in FEW if line["budget"] == "5x100" or line["method"] == "told"]
     assert "| method | steps | 5x100 |\n" in few_shot_tables(few_shot_scores(without))
-    assert "| told | 0 | 0.80 (0.80 to 0.80) | 0.80 (0.80 to 0.80) |" in text
+    same = "0.80 (0.80 to 0.80) [0.80 to 0.80]"
+    assert f"| told | 0 | {same} | {same} |" in text
     assert "| medium-expert | 5 | 0.2" in text
     assert "| medium-expert | 10 | 0.45 (" in text
     assert "| hopper | friction | 0.2" in text
     assert "| fine-tuning | 25 | 0.300 ± 0.000 | 0.500 ± 0.100 | 0.300 ± 0.000 |" in text
     assert "| fine-tuning, published | 25 |  | 0.443 |  | 0.330 |  |  | 0.234 |" in text
-    figures = few_shot_figures(few_scores) + offline_figures(off_scores) + reproduction_figures(REPRODUCED)
+    assert "| shifted | 10 | 0.45 (0.40 to 0.50) |" in text
+    assert "| friction | 10 | 0.45 (0.40 to 0.50) |" in text
+    figures = [figure for part in parts for figure in part.figures]
     assert figures[-1].name == "reproduction"
     for figure in figures:
         assert f"results-figures/{figure.name}.svg" in text

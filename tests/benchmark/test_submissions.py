@@ -10,7 +10,7 @@ import pytest
 
 from imujoco_minari.benchmark import few_shot, offline
 from imujoco_minari.benchmark.lines import read_lines
-from imujoco_minari.benchmark.page import read_results, results_page
+from imujoco_minari.benchmark.page import read_results, results_page, sections
 from imujoco_minari.benchmark.submissions import (
     MAX_BYTES,
     MAX_LINE,
@@ -161,7 +161,7 @@ def test_the_page_marks_lines_of_others_and_refuses_faulty_ones(
     own.mkdir(parents=True)
     written(own, whole)
     results = read_results(tmp_path)
-    page = results_page(results, results.scores())
+    page = results_page(results, sections(results, results.scores()))
     assert "| mine † | 2000 |" in page
     assert "† a method of others" in page
     written(own, whole[1:])

@@ -28,7 +28,7 @@ RESULTS = Path(__file__).parents[2] / "docs" / "results" / offline.FILE
 
 def new_algorithm(method: str, updates: int) -> Any:
     """Return d3rlpy's algorithm of a method with the benchmark's hyperparameters."""
-    settings = offline.algorithm_settings(method)
+    settings = offline.algorithm_settings(offline.ALGORITHMS[method])
     shared = {
         "batch_size": settings["batch"],
         "gamma": settings["discount"],

@@ -10,7 +10,6 @@ import pytest
 from actor_datasets import publish_actors
 
 from imujoco_minari.benchmark import reproduction
-from imujoco_minari.benchmark.networks import adam
 from imujoco_minari.cli.app import run
 from imujoco_minari.cli.benchmark import _holding_out
 from imujoco_minari.publishing.publisher import publish
@@ -60,7 +59,6 @@ def test_a_missing_extra_is_named_before_anything_is_made(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, root: Path, command: list[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "optax", None)
-    adam.cache_clear()
     assert run(["benchmark", *command]) == 1
     assert 'needs optax, which is not installed: run `pip install "imujoco-minari[train]"`' in (
         capsys.readouterr().err
@@ -85,8 +83,8 @@ def test_the_table_shows_the_published_comparison(capsys: pytest.CaptureFixture[
 
 def test_a_dry_run_computes_nothing(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert run(["benchmark", "few-shot", "--dry-run", "--output", str(tmp_path / "results")]) == 0
-    # 31 variants in random splits and 70 in extremes; five methods with budgets, and three bounds.
-    cells = 5 * (31 * (5 * 5 + 3) + 70 * (5 * 2 + 3))
+    # 31 variants in random splits and 70 in extremes; six methods with budgets, and four comparisons.
+    cells = 5 * (31 * (6 * 5 + 4) + 70 * (6 * 2 + 4))
     assert f"{cells} cells" in capsys.readouterr().err
     assert run(["benchmark", "offline", "--dry-run"]) == 0
     assert "108 cells" in capsys.readouterr().err

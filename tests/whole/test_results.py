@@ -86,7 +86,7 @@ def test_the_offline_lines_are_whole_and_of_the_shipped_experts() -> None:
         variants = tuple(map(Variant.parse, line["variants"]))
         assert line["policies_sha256"] == policies_sha256(variants)
         assert line["references"] == {str(variant): references(variant) for variant in variants}
-        assert line["settings"] == offline.algorithm_settings(line["method"])
+        assert line["settings"] == offline.algorithm_settings(offline.ALGORITHMS[line["method"]])
         assert line["checkpoints"] == offline.OfflineGrid().checkpoints()
     data = {(line["robot"], line["tier"], line["data_sha256"]) for line in OFFLINE}
     tiers = {line["tier"] for line in OFFLINE}

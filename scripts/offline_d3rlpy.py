@@ -1,0 +1,131 @@
+"""ReBRAC and CQL of d3rlpy as algorithms of the offline benchmark: d3rlpy trains, this package does the rest.
+
+d3rlpy 2.8.1 pins Gymnasium 1.0.0, so it has a virtual environment of its own, whose Python the variable
+D3RLPY_PYTHON names (`scripts/test-interop d3rlpy` makes .interop/d3rlpy). It gets the data as a file and
+saves its policies as TorchScript. This package reads, evaluates and writes lines like all others:
+
+    D3RLPY_PYTHON=.interop/d3rlpy/bin/python imujoco benchmark offline \\
+        --method scripts.offline_d3rlpy:Rebrac --output docs/results/others/rebrac-d3rlpy
+
+Run by d3rlpy's Python as a script, it trains.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+LIBRARY = "d3rlpy 2.8.1"
+
+
+class _OfD3rlpy:
+    """An algorithm of d3rlpy with its own hyperparameters, except for the settings below.
+
+    Args:
+        seed: seed of d3rlpy.
+        checkpoints: numbers of updates after which the policy is kept.
+    """
+
+    config = ""
+
+    def __init__(self, seed: int, checkpoints: tuple[int, ...]) -> None:
+        self.seed, self.checkpoints = seed, checkpoints
+        self.library, self.batch_size = LIBRARY, 256
+        self.observation_scaler = "standard"
+
+    def train(self, data: Any) -> dict[int, Any]:
+        """Return d3rlpy's policy at each checkpoint, as a torch module."""
+        import torch
+
+        job = vars(self) | {"config": self.config}
+        with tempfile.TemporaryDirectory() as folder:
+            columns = ("observations", "actions", "rewards", "terminations", "truncations")
+            np.savez(Path(folder, "data.npz"), **{name: getattr(data, name) for name in columns})
+            Path(folder, "job.json").write_text(json.dumps(job), "utf-8")
+            python = os.environ.get("D3RLPY_PYTHON", ".interop/d3rlpy/bin/python")
+            own = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+            subprocess.run([python, __file__, folder], check=True, env=own)
+            return {
+                updates: torch.jit.load(str(Path(folder, f"{updates}.pt"))) for updates in self.checkpoints
+            }
+
+
+class Rebrac(_OfD3rlpy):
+    """ReBRAC (Tarasov and others, 2023), with its paper's penalties and networks for Gym-MuJoCo."""
+
+    config = "ReBRACConfig"
+
+    def __init__(self, seed: int, checkpoints: tuple[int, ...]) -> None:
+        super().__init__(seed, checkpoints)
+        # Three layers and layer normalisation in the critics, as in the paper.
+        self.hidden_units, self.critic_layer_norm = (256, 256, 256), True
+        self.actor_learning_rate = self.critic_learning_rate = 1e-3
+        self.actor_beta, self.critic_beta = 0.01, 0.01
+
+
+class Cql(_OfD3rlpy):
+    """CQL (Kumar and others, 2020), with the conservative weight of its paper's Gym-MuJoCo experiments."""
+
+    config = "CQLConfig"
+
+    def __init__(self, seed: int, checkpoints: tuple[int, ...]) -> None:
+        super().__init__(seed, checkpoints)
+        self.hidden_units = (256, 256, 256)
+        self.actor_learning_rate, self.critic_learning_rate, self.alpha_learning_rate = 1e-4, 3e-4, 0.0
+        self.conservative_weight = 5.0
+
+
+def train(folder: Path) -> None:
+    """Train by d3rlpy, and save the policy after each number of updates."""
+    import logging
+    import math
+
+    import d3rlpy
+    import structlog
+
+    # d3rlpy prints its parameters and each epoch.
+    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.WARNING))
+    job = json.loads((folder / "job.json").read_text("utf-8"))
+    seed, checkpoints, name = job.pop("seed"), job.pop("checkpoints"), job.pop("config")
+    if job.pop("library") != f"d3rlpy {d3rlpy.__version__}":
+        raise SystemExit(f"{LIBRARY} is needed, not {d3rlpy.__version__}")
+    encoder, units = d3rlpy.models.VectorEncoderFactory, job.pop("hidden_units")
+    job["actor_encoder_factory"] = encoder(units)
+    job["critic_encoder_factory"] = encoder(units, use_layer_norm=job.pop("critic_layer_norm", False))
+    job["observation_scaler"] = d3rlpy.preprocessing.StandardObservationScaler()
+    with np.load(folder / "data.npz") as data:
+        dataset = d3rlpy.dataset.MDPDataset(
+            data["observations"],
+            data["actions"],
+            data["rewards"].reshape(-1, 1),
+            data["terminations"].astype(np.float32),
+            (data["truncations"] & ~data["terminations"]).astype(np.float32),
+            action_space=d3rlpy.ActionSpace.CONTINUOUS,
+        )
+    d3rlpy.seed(seed)
+    algorithm = getattr(d3rlpy.algos, name)(**job).create()
+
+    def save(algorithm: Any, epoch: int, updates: int) -> None:
+        if updates in checkpoints:
+            algorithm.save_policy(str(folder / f"{updates}.pt"))
+
+    algorithm.fit(
+        dataset,
+        n_steps=max(checkpoints),
+        # Every checkpoint is a whole number of epochs.
+        n_steps_per_epoch=math.gcd(*checkpoints),
+        epoch_callback=save,
+        logger_adapter=d3rlpy.logging.NoopAdapterFactory(),
+        show_progress=False,
+    )
+
+
+if __name__ == "__main__":
+    train(Path(sys.argv[1]))
