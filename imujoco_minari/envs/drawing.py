@@ -51,6 +51,9 @@ class DrawingEnv(gym.Env[Any, Any]):
     _name: str
     _context: NDArray[np.float64]
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({len(self.parameters)} parameters, now {self._name})"
+
     @property
     def variant(self) -> Variant:
         """The variant of the present episode."""

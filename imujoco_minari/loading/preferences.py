@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from imujoco_minari.errors import ArgumentError, DatasetError, as_path, clipped, suggestion, whole_number
 from imujoco_minari.loading.batches import Windows, gather_windows, window_starts
 from imujoco_minari.loading.episode_arrays import Arrays
+from imujoco_minari.short_repr import short_repr
 from imujoco_minari.storage.targets import new_target
 
 Array = NDArray[Any]
@@ -38,6 +39,8 @@ class Preferences:
     second: Windows
     preferred: Array
     scores: Array
+
+    __repr__ = short_repr
 
     def save(self, path: Path | str, *, force: bool = False) -> None:
         """Write a ``.npz`` file: ``first_observations`` (P, L, obs) and so on, ``preferred``, ``scores``.

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from imujoco_minari.errors import ArgumentError, DatasetError, VariantError, clipped, suggestion, whole_number
+from imujoco_minari.short_repr import short_repr
 from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.storage.missing import not_in_root
 from imujoco_minari.storage.reader import EpisodeFile
@@ -37,6 +38,8 @@ class Origin:
     percent: float = 0
     tier: str = ""
     changes: str = ""
+
+    __repr__ = short_repr
 
 
 ATTRIBUTES = tuple(field.name for field in fields(Origin))

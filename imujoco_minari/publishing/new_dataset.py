@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from minari.data_collector import EpisodeBuffer
 
 from imujoco_minari.envs.mjcf import mjcf_sha256
 from imujoco_minari.errors import DatasetError, DatasetExistsError, clipped
+from imujoco_minari.short_repr import short_repr
 from imujoco_minari.storage import file_format, minari_root, transactions
 from imujoco_minari.storage.metadata import complete_metadata, read_metadata
 from imujoco_minari.storage.quiet_file import writing
@@ -54,10 +55,12 @@ class Published:
     steps: int = 0
     return_mean: float = float("nan")
     return_std: float = float("nan")
-    content_sha256: str = ""
+    content_sha256: str = field(default="", repr=False)
     seconds: float = 0.0
     error: str = ""
     missing: bool = False
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True)

@@ -102,6 +102,9 @@ class Variant:
         carried = None if page is None else dict(page)
         return _with_page, (type(self), carried, self.robot, self.changes)
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}.parse({str(self)!r})"
+
     def __str__(self) -> str:
         return "-".join((self.robot, *map(str, self.changes))) if self.changes else f"{self.robot}-{BASE}"
 

@@ -12,6 +12,7 @@ from functools import cache
 from typing import Any
 
 from imujoco_minari.errors import VariantError, clipped, suggestion
+from imujoco_minari.short_repr import short_repr
 from imujoco_minari.variants.ids import Variant
 from imujoco_minari.variants.robots import pages_folder
 
@@ -31,6 +32,8 @@ class OffDynamicsTask:
     source: Variant
     target: Variant
     note: str
+
+    __repr__ = short_repr
 
 
 def off_dynamics(name: str) -> OffDynamicsTask:

@@ -14,6 +14,7 @@ from types import MappingProxyType
 from typing import Any, TypeAlias
 
 from imujoco_minari.errors import CatalogueError, suggestion
+from imujoco_minari.short_repr import short_repr
 
 # The order of changes in ids, and in which they are applied: a mass before the shape that follows from it.
 CATEGORIES = ("mass", "joint", "length", "friction", "gravity", "gear", "damping", "armature", "size")
@@ -43,6 +44,8 @@ class Listing:
     bodies: Mapping[str, tuple[str, ...]]
     groups: Mapping[str, tuple[str, ...]]
     widen: tuple[str, ...]
+
+    __repr__ = short_repr
 
     def names(self, body: str) -> tuple[str, ...]:
         """Return the MJCF names behind a body or a group; empty if the robot has no such body."""
@@ -107,6 +110,12 @@ class RobotSpecification:
     splits: Mapping[str, Mapping[str, Any]]
     groups: Mapping[str, tuple[str, ...]]
     categories: Mapping[str, Listing]
+
+    def __repr__(self) -> str:
+        return (
+            f"RobotSpecification({self.environment}, {self.model}, {self.observation_size} observations, "
+            f"{self.action_size} actions, categories {', '.join(self.categories)})"
+        )
 
     @property
     def title(self) -> str:

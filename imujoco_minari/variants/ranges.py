@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from imujoco_minari.errors import DrawingError, VariantError, clipped, suggestion
+from imujoco_minari.short_repr import short_repr
 from imujoco_minari.variants.changes import Change, plain_number
 from imujoco_minari.variants.context import check_parameters
 from imujoco_minari.variants.ids import BASE, EXPERT, NAMESPACE, Variant
@@ -64,6 +65,8 @@ class Ranges:
     ranges: Mapping[str, Sequence[float]]
     distribution: str = UNIFORM
     name: str = RANDOMISED
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         names = check_parameters(self.robot, self.ranges)

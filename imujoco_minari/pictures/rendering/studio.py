@@ -39,6 +39,9 @@ class Studio:
         self._context = mujoco.MjrContext(self.model(bases()[0]), mujoco.mjtFontScale.mjFONTSCALE_100.value)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
 
+    def __repr__(self) -> str:
+        return f"Studio({self.width}x{self.height})"
+
     def __enter__(self) -> Studio:
         return self
 
