@@ -42,4 +42,4 @@ def _mixed(foot: Any, floor: Any, name: str) -> Any:
     return share * getattr(foot, name) + (1 - share) * getattr(floor, name)
 
 
-CATEGORY = CategoryLaw("friction", "friction", "friction on the floor", "geom", _apply, frozenset())
+FRICTION = CategoryLaw("friction", "friction", "friction on the floor", "geom", _apply, frozenset())
