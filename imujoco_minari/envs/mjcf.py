@@ -142,7 +142,7 @@ def check_robot(robot: str) -> None:
     """
     page = specification(robot)
     try:
-        spec = _bake_once(base_text(robot))
+        spec, _ = _base(base_text(robot))
         for name in (*page.root_joints, *page.stance):
             find(spec, "joint", name)
         for category, listing in page.categories.items():
@@ -163,15 +163,15 @@ class _Edited(NamedTuple):
 @lru_cache(maxsize=4)
 def _edited(variant: Variant) -> _Edited:
     """Apply the changes of a variant to its robot's model, in their order, and stand it on the floor."""
-    text, page = base_text(variant.robot), specification(variant.robot)
-    spec, base = _bake_once(text).copy(), _base_model(text)
-    shift = 0.0
+    page, shift = specification(variant.robot), 0.0
+    unchanged, base = _base(base_text(variant.robot))
+    spec = unchanged.copy()
     try:
         for change in variant.changes:
             names = change.mjcf_names(variant.robot)
             BY_NAME[change.category].apply(Edit(spec, names, change.factor, page, base))
         if page.root_joints and any(BY_NAME[change.category].moves_limbs for change in variant.changes):
-            shift = _stand(spec, _clearance(text))
+            shift = _stand(spec, lowest_point(base))
         return _Edited(spec, spec.compile(), shift)
     except ModelError as error:
         raise ModelError(f"{variant}: {error}") from None
@@ -193,18 +193,10 @@ def _stand(spec: mujoco.MjSpec, clearance: float) -> float:
 
 
 @lru_cache(maxsize=16)
-def _bake_once(text: str) -> mujoco.MjSpec:
-    return bake(text)
-
-
-@lru_cache(maxsize=16)
-def _base_model(text: str) -> mujoco.MjModel:
-    return compile_shape(_bake_once(text))
-
-
-@lru_cache(maxsize=16)
-def _clearance(text: str) -> float:
-    return lowest_point(_base_model(text))
+def _base(text: str) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+    """Return the spec of an unchanged robot, with its inertias written out, and its model."""
+    spec = bake(text)
+    return spec, compile_shape(spec)
 
 
 def base_text(robot: str) -> str:

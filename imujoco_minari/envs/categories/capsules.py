@@ -63,7 +63,8 @@ def _reshape(edit: Edit, body: mujoco.MjsBody, *, length: float = 1.0, radius: f
         geom.size = model.geom_size[index]
     thickness, half = geom.size[0], geom.size[1]
     centre = np.array(geom.pos)
-    density = body.mass / _volume(thickness, half) if body.explicitinertial else geom.density
+    volume = float(np.pi * thickness**2 * (2.0 * half + 4.0 / 3.0 * thickness))
+    density = body.mass / volume if body.explicitinertial else geom.density
     hinges = [joint for joint in body.joints if joint.name not in edit.page.root_joints]
     fixed = 0.0 if not hinges else float(np.clip((hinges[0].pos - centre) @ axis, -half, half))
 
@@ -93,10 +94,6 @@ def _rotated(vector: Floats, quat: Floats) -> Floats:
     result = np.empty(3)
     mujoco.mju_rotVecQuat(result, vector, quat)
     return result
-
-
-def _volume(radius: float, half: float) -> float:
-    return float(np.pi * radius**2 * (2.0 * half + 4.0 / 3.0 * radius))
 
 
 def _stretch(edit: Edit) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import mujoco
 
-from imujoco_minari.errors import ModelError, suggestion
+from imujoco_minari.errors import ModelError, unknown
 from imujoco_minari.short_repr import short_repr
 from imujoco_minari.variants import RobotSpecification
 
@@ -82,10 +82,7 @@ def find(spec: mujoco.MjSpec, part: str, name: str) -> Any:
         found = getattr(spec, part)(name)
         known = [element.name for element in getattr(spec, f"{part}s")]
     if found is None:
-        known = [each for each in known if each]
-        raise ModelError(
-            f"the model has no {part} {name!r}{suggestion(name, known)}; valid: {', '.join(known)}"
-        )
+        raise ModelError(unknown(f"the model has no {part}", name, filter(None, known)))
     return found
 
 
