@@ -164,14 +164,15 @@ class _Edited(NamedTuple):
 def _edited(variant: Variant) -> _Edited:
     """Apply the changes of a variant to its robot's model, in their order, and stand it on the floor."""
     page, shift = specification(variant.robot), 0.0
-    unchanged, base = _base(base_text(variant.robot))
+    text = base_text(variant.robot)
+    unchanged, base = _base(text)
     spec = unchanged.copy()
     try:
         for change in variant.changes:
             names = change.mjcf_names(variant.robot)
             BY_NAME[change.category].apply(Edit(spec, names, change.factor, page, base))
         if page.root_joints and any(BY_NAME[change.category].moves_limbs for change in variant.changes):
-            shift = _stand(spec, lowest_point(base))
+            shift = _stand(spec, _clearance(text))
         return _Edited(spec, spec.compile(), shift)
     except ModelError as error:
         raise ModelError(f"{variant}: {error}") from None
@@ -197,6 +198,11 @@ def _base(text: str) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
     """Return the spec of an unchanged robot, with its inertias written out, and its model."""
     spec = bake(text)
     return spec, compile_shape(spec)
+
+
+@lru_cache(maxsize=16)
+def _clearance(text: str) -> float:
+    return lowest_point(_base(text)[1])
 
 
 def base_text(robot: str) -> str:
