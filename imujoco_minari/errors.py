@@ -138,6 +138,18 @@ def suggestion(word: str, choices: Iterable[str]) -> str:
     return f" (did you mean {near[0]!r}?)" if near else ""
 
 
+def unknown(what: str, word: object, choices: Iterable[str]) -> str:
+    """Return the message for a word that is none of the choices, with the nearest one and all of them.
+
+    Args:
+        what: the beginning of the message, as in ``unknown robot``.
+        word: what the user wrote.
+        choices: the valid words.
+    """
+    shown, choices = clipped(word), list(choices)
+    return f"{what} {shown!r}{suggestion(shown, choices)}; valid: {', '.join(choices)}"
+
+
 def clipped(text: object) -> str:
     """Return a text at most 80 characters long, so that a message does not quote a hostile id in full."""
     shown = str(text)

@@ -25,6 +25,7 @@ from imujoco_minari.benchmark.protocol import Budget, draw_demonstrations
 from imujoco_minari.errors import BenchmarkChoiceError, BenchmarkError, JobError
 from imujoco_minari.loading import arrays
 from imujoco_minari.parallel import run_jobs
+from imujoco_minari.short_repr import short_repr
 from imujoco_minari.variants import EXPERT, HeldOut, Variant
 
 FILE = "few-shot.jsonl"
@@ -60,6 +61,8 @@ class FewShotGrid:
     variants: Sequence[str] | None = None
     episodes: int = protocol.EVALUATION_EPISODES
     demonstrations: str | None = None
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         held_out = {variant for split in self.splits for variant in split.test}

@@ -7,6 +7,7 @@ this package: see :func:`~imujoco_minari.benchmark.few_shot.run_few_shot`.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from typing import Any, Protocol
@@ -46,22 +47,22 @@ class Method(Protocol):
 NewMethod = Callable[[int], Method]
 
 
+@dataclass
 class RandomBound:
     """The lower bound: random actions."""
 
-    def __init__(self, seed: int) -> None:
-        self.seed = seed
+    seed: int
 
     def adapt(self, demonstrations: Arrays) -> RandomPolicy:
         """Return the random policy."""
         return random_policy(demonstrations.table[0].robot)
 
 
+@dataclass
 class ExpertBound:
     """The upper bound: the expert of the held-out variant."""
 
-    def __init__(self, seed: int) -> None:
-        self.seed = seed
+    seed: int
 
     def adapt(self, demonstrations: Arrays) -> Actor:
         """Return the variant's expert."""

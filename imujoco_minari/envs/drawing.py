@@ -51,6 +51,9 @@ class DrawingEnv(gym.Env[Any, Any]):
     _name: str
     _context: NDArray[np.float64]
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({len(self.parameters)} parameters, now {self._name})"
+
     @property
     def variant(self) -> Variant:
         """The variant of the present episode."""
@@ -197,15 +200,12 @@ class CollectionEnv(DrawingEnv, EzPickle):
             environment.close()  # type: ignore[no-untyped-call]
 
     def _choose(self, name: str | None, seed: int) -> VariantEnv:
-        if name is None:
-            name = self._draw()
+        if name is None and self._probabilities is None:
+            name = self.variants[self.np_random.integers(len(self.variants))]
+        elif name is None:
+            name = self.variants[self.np_random.choice(len(self.variants), p=self._probabilities)]
         self._check(name)
         return self._environment(name)
-
-    def _draw(self) -> str:
-        if self._probabilities is None:
-            return self.variants[int(self.np_random.integers(len(self.variants)))]
-        return self.variants[int(self.np_random.choice(len(self.variants), p=self._probabilities))]
 
     def _check(self, name: str) -> None:
         if name not in self.variants:

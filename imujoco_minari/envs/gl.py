@@ -44,7 +44,9 @@ def backend() -> str:
     asked = os.environ.get("MUJOCO_GL", "").lower()
     if sys.platform != "linux" or (asked and asked not in LIBRARIES):
         return "native"
-    candidates = [asked] if asked else _candidates()
+    # PyOpenGL chooses one platform per process.
+    taken = asked or os.environ.get("PYOPENGL_PLATFORM", "").lower()
+    candidates = [taken] if taken in LIBRARIES else list(LIBRARIES)
     for candidate in candidates:
         if _works(candidate):
             os.environ["MUJOCO_GL"] = candidate
@@ -74,12 +76,6 @@ def new_context(width: int, height: int) -> Any:
     except Exception as error:  # a missing driver causes many kinds of errors in PyOpenGL and MuJoCo
         raise RenderingError(f"{name} cannot make an OpenGL context of {width}x{height}: {error}") from None
     return context
-
-
-def _candidates() -> list[str]:
-    """Return the platforms that this process can still use. PyOpenGL chooses one per process."""
-    taken = os.environ.get("PYOPENGL_PLATFORM", "").lower()
-    return [taken] if taken in LIBRARIES else list(LIBRARIES)
 
 
 def _works(candidate: str) -> bool:

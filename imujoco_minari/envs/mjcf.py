@@ -142,7 +142,7 @@ def check_robot(robot: str) -> None:
     """
     page, text = specification(robot), base_text(robot)
     try:
-        spec = _bake_once(text)
+        spec, _ = _base(text)
         for name in (*page.root_joints, *page.stance):
             find(spec, "joint", name)
         for name in page.feet:
@@ -165,9 +165,10 @@ class _Edited(NamedTuple):
 @lru_cache(maxsize=4)
 def _edited(variant: Variant) -> _Edited:
     """Apply the changes of a variant to its robot's model, in their order, and stand it on the floor."""
-    text, page = base_text(variant.robot), specification(variant.robot)
-    spec, base = _bake_once(text).copy(), _base_model(text)
-    shift = 0.0
+    page, shift = specification(variant.robot), 0.0
+    text = base_text(variant.robot)
+    unchanged, base = _base(text)
+    spec = unchanged.copy()
     try:
         for change in variant.changes:
             names = change.mjcf_names(variant.robot)
@@ -195,18 +196,15 @@ def _stand(spec: mujoco.MjSpec, clearance: float) -> float:
 
 
 @lru_cache(maxsize=16)
-def _bake_once(text: str) -> mujoco.MjSpec:
-    return bake(text)
-
-
-@lru_cache(maxsize=16)
-def _base_model(text: str) -> mujoco.MjModel:
-    return compile_shape(_bake_once(text))
+def _base(text: str) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+    """Return the spec of an unchanged robot, with its inertias written out, and its model."""
+    spec = bake(text)
+    return spec, compile_shape(spec)
 
 
 @lru_cache(maxsize=16)
 def _clearance(text: str) -> float:
-    return lowest_point(_base_model(text))
+    return lowest_point(_base(text)[1])
 
 
 def base_text(robot: str) -> str:

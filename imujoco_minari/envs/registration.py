@@ -89,24 +89,29 @@ def collection_spec(
         models: id -> MJCF text for each of them, where they are of the original archive.
     """
     ids = [str(variant) for variant in variants]
-    page = _page(ids[0].partition("-")[0]) if ids and not models else {}
+    robot = next(iter(ids), "").partition("-")[0]
+    if models:
+        kwargs: dict[str, Any] = {"models": {variant: models[variant] for variant in ids}}
+    else:
+        kwargs = {"variants": ids, **_page(robot)}
     return EnvSpec(
         id=f"{ORIGINAL if models else NAMESPACE}/{name}-v0",
         entry_point=_COLLECTION,
-        max_episode_steps=max_episode_steps(ids[0].partition("-")[0]) if ids else None,
-        kwargs={"models": {variant: models[variant] for variant in ids}}
-        if models
-        else {"variants": ids} | page,
+        max_episode_steps=max_episode_steps(robot),
+        kwargs=kwargs,
     )
 
 
-def randomised_spec(ranges: Ranges) -> EnvSpec:
-    """Return the Gymnasium spec of the environment that draws variants from ranges."""
-    bounds = {name: list(pair) for name, pair in ranges.ranges.items()}
-    return _randomised_spec(ranges.robot, {"ranges": bounds, "distribution": ranges.distribution})
+def randomised_spec(ranges: Ranges | str) -> EnvSpec:
+    """Return the Gymnasium spec of the environment that draws variants from ranges.
 
-
-def _randomised_spec(robot: str, arguments: Mapping[str, Any]) -> EnvSpec:
+    Args:
+        ranges: the ranges, or a robot for those of the catalogue.
+    """
+    robot, arguments = str(ranges), {}
+    if isinstance(ranges, Ranges):
+        bounds = {name: list(pair) for name, pair in ranges.ranges.items()}
+        robot, arguments = ranges.robot, {"ranges": bounds, "distribution": ranges.distribution}
     return EnvSpec(
         id=f"{NAMESPACE}/{robot}-{RANDOMISED}-v0",
         entry_point=_RANDOMISED,
@@ -285,15 +290,11 @@ def load_catalogue(path: str | Path) -> tuple[str, ...]:
 def _register_robot(robot: str) -> None:
     # Straight into the registry: gym.register() compares versions over the whole registry at each
     # call, and 172 calls would take a third of a second of every import.
-    for variant in (*catalogue(robot), Variant(robot)):
-        spec = environment_spec(variant)
+    specs = [environment_spec(variant) for variant in (*catalogue(robot), Variant(robot))]
+    listed = [(category, catalogue(robot, category)) for category in (None, *specification(robot).categories)]
+    specs += [collection_spec(f"{robot}-{name or 'all'}", variants) for name, variants in listed if variants]
+    for spec in (*specs, randomised_spec(robot)):
         registry.setdefault(spec.id, spec)
-    for category in (None, *specification(robot).categories):
-        if variants := catalogue(robot, category):
-            spec = collection_spec(f"{robot}-{category or 'all'}", variants)
-            registry.setdefault(spec.id, spec)
-    spec = _randomised_spec(robot, {})
-    registry.setdefault(spec.id, spec)
 
 
 def _page(robot: str) -> dict[str, Any]:

@@ -89,6 +89,9 @@ class VariantEnv(MujocoEnv, EzPickle):
 
     robot_environment: str
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.variant})"
+
     def render(self) -> Any:
         """Return a picture, or show it in a window in the mode ``human``.
 

@@ -36,6 +36,9 @@ class TransitionDataset(Dataset[Batch]):
         check_arrays(data)
         self.data = data
 
+    def __repr__(self) -> str:
+        return f"TransitionDataset({self.data!r})"
+
     def __len__(self) -> int:
         return len(self.data)
 
@@ -64,6 +67,9 @@ class WindowDataset(Dataset[Batch]):
     def __init__(self, data: Arrays, length: int, *, padded: bool = False) -> None:
         self.data, self.length = data, length
         self._starts = window_starts(data, length, padded=padded)
+
+    def __repr__(self) -> str:
+        return f"WindowDataset({len(self)} windows of {self.length} steps, {self.data!r})"
 
     def __len__(self) -> int:
         return len(self._starts)

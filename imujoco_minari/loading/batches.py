@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from imujoco_minari.errors import DatasetError, whole_number
 from imujoco_minari.loading.episode_arrays import Arrays, TransitionBatch, check_arrays
+from imujoco_minari.short_repr import short_repr
 
 Array = NDArray[Any]
 
@@ -36,6 +37,9 @@ class Windows(NamedTuple):
     timesteps: Array
     variant_index: Array
     mask: Array
+
+    def __repr__(self) -> str:
+        return short_repr(self)
 
 
 def transition_batches(data: Arrays, batch_size: int, *, seed: int = 0) -> Iterator[TransitionBatch]:

@@ -16,6 +16,7 @@ from imujoco_minari.errors import ArgumentError, DatasetError, as_path, clipped
 from imujoco_minari.loading import selection
 from imujoco_minari.loading.selection import Origin
 from imujoco_minari.loading.statistics import Statistics
+from imujoco_minari.short_repr import short_repr
 from imujoco_minari.storage.targets import new_target
 
 Array = NDArray[Any]
@@ -31,6 +32,9 @@ class TransitionBatch(NamedTuple):
     terminations: Array
     truncations: Array
     variant_index: Array
+
+    def __repr__(self) -> str:
+        return short_repr(self)
 
 
 # The fields of Arrays with one row for each step.
@@ -48,6 +52,9 @@ class Trajectory(NamedTuple):
     rewards: Array
     terminated: bool
     truncated: bool
+
+    def __repr__(self) -> str:
+        return short_repr(self)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from imujoco_minari.errors import ArgumentError, DatasetError, as_path, clipped, suggestion, whole_number
 from imujoco_minari.loading.batches import Windows, gather_windows, window_starts
 from imujoco_minari.loading.episode_arrays import Arrays
+from imujoco_minari.short_repr import short_repr
 from imujoco_minari.storage.targets import new_target
 
 Array = NDArray[Any]
@@ -38,6 +39,8 @@ class Preferences:
     second: Windows
     preferred: Array
     scores: Array
+
+    __repr__ = short_repr
 
     def save(self, path: Path | str, *, force: bool = False) -> None:
         """Write a ``.npz`` file: ``first_observations`` (P, L, obs) and so on, ``preferred``, ``scores``.
@@ -85,13 +88,20 @@ def preference_pairs(
     starts = window_starts(data, length)
     if not np.isfinite(data.rewards).all():
         raise DatasetError("no segment can be preferred: the rewards hold NaN or infinity")
-    scores = _returns(data, starts, length) if tiers is None else _tier_scores(data, tiers)[starts]
+    if tiers is None:
+        # Differences of cumulative sums would round equal segments differently.
+        scores = sliding_window_view(data.rewards.astype(np.float64), length).sum(axis=1)[starts]
+    else:
+        scores = _tier_scores(data, tiers)[starts]
     names = [origin.variant for origin in data.table]
     variants = np.array([names.index(name) for name in names])[data.variant_index[starts]]
     rng = np.random.default_rng(whole_number(seed, "seed", least=0))
+    present, segments = np.unique(variants, return_counts=True)
+    # In proportion to the number of segments of each variant.
+    counts = rng.multinomial(pairs, segments / segments.sum())
     drawn = [
         _draw(np.flatnonzero(variants == variant), scores, count, names[variant], rng)
-        for variant, count in zip(*_shares(variants, pairs, rng), strict=True)
+        for variant, count in zip(present.tolist(), counts.tolist(), strict=True)
         if count
     ]
     chosen = rng.permutation(np.concatenate(drawn))
@@ -104,12 +114,6 @@ def preference_pairs(
     )
 
 
-def _shares(variants: Array, pairs: int, rng: np.random.Generator) -> tuple[list[int], list[int]]:
-    """Return the variants, and the number of pairs for each, in proportion to its number of segments."""
-    present, counts = np.unique(variants, return_counts=True)
-    return present.tolist(), rng.multinomial(pairs, counts / counts.sum()).tolist()
-
-
 def _draw(candidates: Array, scores: Array, count: int, name: str, rng: np.random.Generator) -> Array:
     """Return ``count`` pairs (count, 2) of candidates that differ in score."""
     if np.ptp(scores[candidates]) == 0:
@@ -119,13 +123,6 @@ def _draw(candidates: Array, scores: Array, count: int, name: str, rng: np.rando
         drawn = rng.choice(candidates, size=(2 * count, 2))
         found = np.concatenate((found, drawn[scores[drawn[:, 0]] != scores[drawn[:, 1]]]))
     return found[:count]
-
-
-def _returns(data: Arrays, starts: Array, length: int) -> Array:
-    # Differences of cumulative sums would round equal segments differently.
-    segments = sliding_window_view(data.rewards.astype(np.float64), length)
-    returns: Array = segments.sum(axis=1)[starts]
-    return returns
 
 
 def _tier_scores(data: Arrays, tiers: Sequence[str]) -> Array:

@@ -18,6 +18,7 @@ from imujoco_minari.loading.batches import padded_rows
 from imujoco_minari.loading.episode_arrays import Arrays, check_arrays
 from imujoco_minari.loading.load import arrays
 from imujoco_minari.loading.selection import Datasets
+from imujoco_minari.short_repr import short_repr
 
 Array = NDArray[Any]
 
@@ -36,6 +37,9 @@ class Shots(NamedTuple):
     actions: Any
     mask: Any
     variant: str
+
+    def __repr__(self) -> str:
+        return short_repr(self)
 
 
 class FewShot(NamedTuple):

@@ -15,7 +15,16 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from imujoco_minari.errors import ArgumentError, DatasetError, VariantError, clipped, suggestion, whole_number
+from imujoco_minari.errors import (
+    ArgumentError,
+    DatasetError,
+    VariantError,
+    clipped,
+    suggestion,
+    unknown,
+    whole_number,
+)
+from imujoco_minari.short_repr import short_repr
 from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.storage.missing import not_in_root
 from imujoco_minari.storage.reader import EpisodeFile
@@ -37,6 +46,8 @@ class Origin:
     percent: float = 0
     tier: str = ""
     changes: str = ""
+
+    __repr__ = short_repr
 
 
 ATTRIBUTES = tuple(field.name for field in fields(Origin))
@@ -154,10 +165,7 @@ def matching(found: Sequence[EpisodeReference], where: Mapping[str, Any]) -> lis
     chosen = list(found)
     for name, wanted in where.items():
         if name not in ATTRIBUTES:
-            raise VariantError(
-                f"unknown attribute {name!r}{suggestion(str(name), ATTRIBUTES)}; "
-                f"valid: {', '.join(ATTRIBUTES)}"
-            )
+            raise VariantError(unknown("unknown attribute", name, ATTRIBUTES))
         values = _values(name, wanted)
         present = {getattr(episode.origin, name) for episode in found}
         missing = sorted(values - present, key=str)

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from imujoco_minari.short_repr import short_repr
+
 Array = NDArray[Any]
 
 # Rows that are processed together. It bounds the size of temporary copies.
@@ -26,6 +28,8 @@ class Statistics:
 
     mean: Array
     std: Array
+
+    __repr__ = short_repr
 
     def normalize(self, observations: Array) -> Array:
         """Return ``(observations - mean) / std`` in the dtype of ``observations``, or float64."""

@@ -21,6 +21,7 @@ from imujoco_minari.errors import JobError, PolicyNotFoundError, TransferError
 from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies import Policy, expert_actor, expert_variants
 from imujoco_minari.policies.evaluation import Evaluation, evaluate
+from imujoco_minari.short_repr import short_repr
 from imujoco_minari.storage.files import write_text
 from imujoco_minari.variants import Variant, catalogue
 
@@ -51,6 +52,8 @@ class Transfer:
     policies: tuple[str, ...]
     variants: tuple[Variant, ...]
     cells: Mapping[tuple[str, Variant], Evaluation]
+
+    __repr__ = short_repr
 
     def returns(self) -> list[list[float]]:
         """Return the mean undiscounted returns, one list per policy."""

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Self
 
 from imujoco_minari.errors import ImujocoError
+from imujoco_minari.short_repr import short_repr
 
 
 @dataclass(frozen=True)
@@ -25,13 +26,15 @@ class DatasetOutcome:
     error: str = ""
     missing: bool = False
 
+    __repr__ = short_repr
+
     @classmethod
     def failed(cls, dataset_id: str, error: ImujocoError) -> Self:
         """Return the outcome of work that raised an error."""
         return cls(dataset_id, error=str(error), missing=error.missing)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Published(DatasetOutcome):
     """The outcome of publishing one dataset.
 
@@ -50,11 +53,11 @@ class Published(DatasetOutcome):
     steps: int = 0
     return_mean: float = float("nan")
     return_std: float = float("nan")
-    content_sha256: str = ""
+    content_sha256: str = field(default="", repr=False)
     seconds: float = 0.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Deleted(DatasetOutcome):
     """The outcome of deleting one dataset: ``path`` is its former folder, ``bytes`` the size of its files."""
 

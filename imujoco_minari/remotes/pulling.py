@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from typing import Any
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError
 from imujoco_minari.remotes.connecting import connect
 from imujoco_minari.remotes.stores import Store, metadata, remote_errors
+from imujoco_minari.short_repr import short_repr
 from imujoco_minari.storage import copying, file_format, minari_root, transactions
 from imujoco_minari.storage.metadata import processor, read_metadata, sources
 from imujoco_minari.verification import Finding, inspect
@@ -43,11 +44,13 @@ class Pulled:
     remote: str
     path: Path | None = None
     downloaded: bool = False
-    content_sha256: str = ""
+    content_sha256: str = field(default="", repr=False)
     same_simulator: bool = True
     seconds: float = 0.0
     error: str = ""
     missing: bool = False
+
+    __repr__ = short_repr
 
 
 def pull(dataset_id: str, remote: str, *, token: str | None = None, force: bool = False) -> list[Pulled]:

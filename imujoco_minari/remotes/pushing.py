@@ -6,7 +6,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
@@ -23,6 +23,7 @@ from imujoco_minari.remotes.stores import (
     parse_object,
     remote_errors,
 )
+from imujoco_minari.short_repr import short_repr
 from imujoco_minari.storage import minari_root, transactions
 from imujoco_minari.storage.file_format import file_sha256
 from imujoco_minari.storage.metadata import read_metadata, sources
@@ -49,10 +50,12 @@ class Pushed:
     remote: str
     uploaded: bool = False
     bytes: int = 0
-    content_sha256: str = ""
+    content_sha256: str = field(default="", repr=False)
     seconds: float = 0.0
     error: str = ""
     missing: bool = False
+
+    __repr__ = short_repr
 
 
 def push(dataset_id: str, remote: str, *, token: str | None = None, force: bool = False) -> list[Pushed]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imujoco_minari.errors import VariantError, clipped, suggestion
+from imujoco_minari.errors import VariantError, clipped, unknown
 from imujoco_minari.variants.pages import Listing
 from imujoco_minari.variants.robots import specification
 
@@ -66,17 +66,13 @@ class Change:
         match = CHANGE_ID.fullmatch(text)
         if match is None:
             raise VariantError(f"malformed change {clipped(text)!r}; {GRAMMAR}")
-        whole, _, decimals = match["percent"].partition("p")
-        if len(whole) > 1 and whole[0] == "0":
-            raise VariantError("write the percent without leading zeros")
-        if decimals.endswith("0") or len(decimals) > MAX_DECIMALS:
-            raise VariantError("write the percent with at most two decimals, without zeros at the end")
-        if len(whole) > len(str(MAX_PERCENT)):
+        size = float(match["percent"].replace("p", "."))
+        if size > MAX_PERCENT:
             raise VariantError(f"the percent is too large; valid: at most {MAX_PERCENT}")
-        if match["percent"] == "0" and match["sign"] == "dec":
-            raise VariantError("write a change of 0 % as inc_0")
-        size = float(f"{whole}.{decimals or 0}")
-        return cls(match["category"], size if match["sign"] == "inc" else -size, match["body"])
+        change = cls(match["category"], size if match["sign"] == "inc" else -size, match["body"])
+        if str(change) != text:
+            raise VariantError(f"write {clipped(text)!r} as {str(change)!r}")
+        return change
 
     @property
     def factor(self) -> float:
@@ -93,10 +89,7 @@ class Change:
         names = listing.names(self.body)
         if not names:
             known = (*listing.bodies, *listing.groups)
-            raise VariantError(
-                f"{robot} has no body {clipped(self.body)!r} for {self.category}"
-                f"{suggestion(self.body[:80], known)}; valid: {', '.join(known)}"
-            )
+            raise VariantError(unknown(f"the {self.category} of {robot} has no body", self.body, known))
         return names
 
     def check(self, robot: str) -> None:
@@ -128,8 +121,5 @@ def listing_of(robot: str, category: str) -> Listing:
     """Return a category of a robot's page; raise a VariantError when the robot has no such category."""
     categories = specification(robot).categories
     if category not in categories:
-        raise VariantError(
-            f"{robot} has no category {clipped(category)!r}{suggestion(category[:80], categories)}; "
-            f"valid: {', '.join(categories)}"
-        )
+        raise VariantError(unknown(f"{robot} has no category", category, categories))
     return categories[category]

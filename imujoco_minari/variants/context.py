@@ -13,13 +13,17 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from imujoco_minari.errors import VariantError, clipped, suggestion
+from imujoco_minari.errors import VariantError, unknown
 from imujoco_minari.variants.ids import Variant
 from imujoco_minari.variants.robots import specification
 
 
-def parameters(robot: str) -> tuple[str, ...]:
+def parameters(robot: str, *, groups: bool = False) -> tuple[str, ...]:
     """Return the names of all parameters of a robot, in the order of contexts.
+
+    Args:
+        robot: the robot.
+        groups: in each category, add the groups of bodies.
 
     Raises:
         VariantError: if there is no such robot.
@@ -28,15 +32,20 @@ def parameters(robot: str) -> tuple[str, ...]:
         >>> parameters("hopper")[:2]
         ('mass/torsogeom', 'mass/thighgeom')
     """
-    categories = specification(robot).categories
-    return tuple(f"{category}/{body}" for category, listing in categories.items() for body in listing.bodies)
+    return tuple(
+        f"{category}/{body}"
+        for category, listing in specification(robot).categories.items()
+        for body in (*listing.bodies, *(listing.groups if groups else ()))
+    )
 
 
 def changed_parameters(variants: Iterable[Variant]) -> tuple[str, ...]:
     """Return the parameters that at least one variant of a robot changes, in the order of contexts."""
     variants = list(variants)
     changed = {name for variant in variants for name in percents(variant)}
-    listed = [name for name in _known(variants[0].robot) if name in changed] if variants else []
+    listed = (
+        [name for name in parameters(variants[0].robot, groups=True) if name in changed] if variants else []
+    )
     # Variants of the original archive may change bodies that the robot's page does not list.
     return (*listed, *sorted(changed - set(listed)))
 
@@ -75,28 +84,16 @@ def context(variant: Variant, names: Sequence[str]) -> NDArray[np.float64]:
     return vector
 
 
-def _known(robot: str) -> tuple[str, ...]:
-    """Return all names of parameters: in each category the bodies, then the groups of bodies."""
-    return tuple(
-        f"{category}/{body}"
-        for category, listing in specification(robot).categories.items()
-        for body in (*listing.bodies, *listing.groups)
-    )
-
-
 def check_parameters(robot: str, names: Iterable[str]) -> tuple[str, ...]:
     """Return parameters of a robot, each once, in the order of contexts.
 
     Raises:
         VariantError: if the robot has no such parameter, or if a name stands twice.
     """
-    names, known = list(names), _known(robot)
+    names, known = list(names), parameters(robot, groups=True)
     for name in names:
         if name not in known:
-            shown = clipped(name)
-            raise VariantError(
-                f"{robot} has no parameter {shown!r}{suggestion(shown, known)}; valid: {', '.join(known)}"
-            )
+            raise VariantError(unknown(f"{robot} has no parameter", name, known))
         if names.count(name) > 1:
             raise VariantError(f"parameter {name!r} stands twice")
     return tuple(name for name in known if name in names)

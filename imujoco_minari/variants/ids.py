@@ -7,22 +7,15 @@ A *change* is a *category* of physical parameter, a signed *percent* of the base
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, ClassVar
 
-from imujoco_minari.errors import VariantError, clipped, suggestion
+from imujoco_minari.errors import VariantError, clipped, suggestion, unknown
 from imujoco_minari.variants.changes import CHANGE_ID, GRAMMAR, Change, listing_of
 from imujoco_minari.variants.pages import CATEGORIES
-from imujoco_minari.variants.robots import (
-    ROBOTS,
-    adopt_page,
-    carried_page,
-    follows_page,
-    known_robots,
-    specification,
-)
+from imujoco_minari.variants.robots import ROBOTS, carrying, follows_page, known_robots, specification
 
 NAMESPACE = "imujoco"
 BASE = "base"
@@ -89,18 +82,20 @@ class Variant:
             return cls(robot)
         parts = rest.split("-")
         if not all(map(CHANGE_ID.fullmatch, parts)):
-            near = suggestion(name[:80], _known_ids())
+            known = (str(each) for robot in known_robots() for each in (*_listed(robot), Variant(robot)))
+            near = suggestion(name[:80], known)
             raise VariantError(f"malformed variant id {clipped(text)!r}{near}; {GRAMMAR}")
         try:
             return cls(robot, tuple(map(Change.parse, parts)))
         except VariantError as error:
             raise VariantError(f"{clipped(text)!r}: {error}") from None
 
-    def __reduce__(self) -> tuple[Callable[..., Variant], tuple[object, ...]]:
-        # Another process may not know a robot of the user: its page travels with the variant.
-        page = carried_page(self.robot)
-        carried = None if page is None else dict(page)
-        return _with_page, (type(self), carried, self.robot, self.changes)
+    def __reduce__(self) -> tuple[Callable[..., Variant], tuple[Any, ...]]:
+        # Another process may not know a robot of the user.
+        return carrying(self.robot, type(self), self.robot, self.changes)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}.parse({str(self)!r})"
 
     def __str__(self) -> str:
         return "-".join((self.robot, *map(str, self.changes))) if self.changes else f"{self.robot}-{BASE}"
@@ -147,8 +142,19 @@ class Variant:
             raise VariantError(
                 f"malformed tier {clipped(tier)!r}; valid: lower-case words, as in expert, medium, random"
             )
-        suffix = "" if tier == EXPERT else f"-{tier}"
-        return f"{self.namespace}/{self}{suffix}-v0"
+        return full_id(str(self), tier, self.namespace)
+
+
+def full_id(name: str, tier: str, namespace: str = NAMESPACE) -> str:
+    """Return the Minari id of data of a tier; that of the expert's has no word for it."""
+    return f"{namespace}/{name}{'' if tier == EXPERT else f'-{tier}'}-v0"
+
+
+def name_in(dataset_id: str) -> str:
+    """Return the name in a dataset id of our namespace, without version; empty for any other id."""
+    if dataset_id.startswith(f"{NAMESPACE}/") and dataset_id.endswith("-v0"):
+        return dataset_id.removeprefix(f"{NAMESPACE}/").removesuffix("-v0")
+    return ""
 
 
 def catalogue(robot: str | None = None, category: str | None = None) -> tuple[Variant, ...]:
@@ -161,10 +167,7 @@ def catalogue(robot: str | None = None, category: str | None = None) -> tuple[Va
         VariantError: when there is no such robot or category.
     """
     if category is not None and category not in CATEGORIES:
-        raise VariantError(
-            f"unknown category {clipped(category)!r}{suggestion(clipped(category), CATEGORIES)}; "
-            f"valid: {', '.join(CATEGORIES)}"
-        )
+        raise VariantError(unknown("unknown category", category, CATEGORIES))
     if robot is not None:
         specification(robot)
         if category is not None:
@@ -189,8 +192,8 @@ def parse_dataset_id(dataset_id: str) -> tuple[Variant, str]:
         VariantError: when it is not of the form ``imujoco/<variant>[-<tier>]-v0``.
     """
     near = ""
-    if dataset_id.startswith(f"{NAMESPACE}/") and dataset_id.endswith("-v0"):
-        name, tier = split_name(dataset_id.removeprefix(f"{NAMESPACE}/").removesuffix("-v0"))
+    if name_in(dataset_id):
+        name, tier = split_name(name_in(dataset_id))
         variant, tier = Variant.parse(name), tier or EXPERT
         if dataset_id == variant.dataset_id(tier):
             return variant, tier
@@ -220,15 +223,3 @@ def _listed(robot: str) -> tuple[Variant, ...]:
         for body in listing.bodies
         for percent in listing.percents
     )
-
-
-def _known_ids() -> list[str]:
-    """Return the listed ids of all known robots and their bases, for suggestions."""
-    return [str(variant) for robot in known_robots() for variant in (*_listed(robot), Variant(robot))]
-
-
-def _with_page(kind: type[Variant], page: Mapping[str, str] | None, robot: str, changes: Any) -> Variant:
-    """Return a variant that comes from another process, and make its robot known first."""
-    if page is not None:
-        adopt_page(robot, page)
-    return kind(robot, changes)

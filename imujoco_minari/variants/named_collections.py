@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from imujoco_minari.errors import VariantError
-from imujoco_minari.variants.ids import EXPERT, NAMESPACE, Variant, catalogue
+from imujoco_minari.variants.ids import EXPERT, Variant, catalogue, full_id, name_in
 from imujoco_minari.variants.robots import known_robots, specification
 
 
@@ -37,8 +37,7 @@ class NamedCollection:
     @property
     def dataset_id(self) -> str:
         """The id, ``imujoco/<robot>-<all or category>[-<tier>]-v0``."""
-        suffix = "" if self.tier == EXPERT else f"-{self.tier}"
-        return f"{NAMESPACE}/{self.robot}-{self.category or 'all'}{suffix}-v0"
+        return full_id(f"{self.robot}-{self.category or 'all'}", self.tier)
 
     @property
     def variants(self) -> tuple[Variant, ...]:
@@ -53,10 +52,7 @@ class NamedCollection:
     @classmethod
     def parse(cls, dataset_id: str) -> NamedCollection | None:
         """Return the collection that a dataset id names, or None when it names none."""
-        if not (dataset_id.startswith(f"{NAMESPACE}/") and dataset_id.endswith("-v0")):
-            return None
-        name = dataset_id.removeprefix(f"{NAMESPACE}/").removesuffix("-v0")
-        robot, _, rest = name.partition("-")
+        robot, _, rest = name_in(dataset_id).partition("-")
         part, _, tier = rest.partition("-")
         if robot not in known_robots() or part not in ("all", *specification(robot).categories):
             return None

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from imujoco_minari.errors import VariantError, clipped, suggestion
+from imujoco_minari.errors import VariantError, clipped, suggestion, unknown
+from imujoco_minari.short_repr import short_repr
 from imujoco_minari.variants.ids import Variant
 from imujoco_minari.variants.robots import pages_folder
 
@@ -31,6 +32,8 @@ class OffDynamicsTask:
     source: Variant
     target: Variant
     note: str
+
+    __repr__ = short_repr
 
 
 def off_dynamics(name: str) -> OffDynamicsTask:
@@ -79,10 +82,7 @@ def off_dynamics_names(robot: str | None = None) -> tuple[str, ...]:
     """
     pages = _pages()
     if robot is not None and robot not in pages:
-        shown = clipped(robot)
-        raise VariantError(
-            f"no task of the robot {shown!r}{suggestion(shown, pages)}; valid: {', '.join(pages)}"
-        )
+        raise VariantError(unknown("no task of the robot", robot, pages))
     return tuple(f"{each}-{task}" for each in pages if robot in (None, each) for task in pages[each]["tasks"])
 
 

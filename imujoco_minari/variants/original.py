@@ -37,7 +37,7 @@ _ID = re.compile(
 )
 
 
-@dataclass(frozen=True, order=True)
+@dataclass(frozen=True, order=True, repr=False)
 class OriginalVariant(Variant):
     """A variant of the original archive. Its body is the archive's word, whatever our catalogue lists.
 

@@ -12,7 +12,8 @@ from dataclasses import dataclass, fields
 from types import MappingProxyType
 from typing import Any, TypeAlias
 
-from imujoco_minari.errors import CatalogueError, suggestion
+from imujoco_minari.errors import CatalogueError, unknown
+from imujoco_minari.short_repr import short_repr
 
 # The order of changes in ids, and in which they are applied: a mass before the shape that follows from it.
 CATEGORIES = ("mass", "joint", "length", "friction", "gravity", "gear", "damping", "armature", "size")
@@ -50,6 +51,8 @@ class Listing:
     bodies: Mapping[str, tuple[str, ...]]
     groups: Mapping[str, tuple[str, ...]]
     widen: tuple[str, ...]
+
+    __repr__ = short_repr
 
     def names(self, body: str) -> tuple[str, ...]:
         """Return the MJCF names behind a body or a group; empty if the robot has no such body."""
@@ -115,6 +118,12 @@ class RobotSpecification:
     groups: Mapping[str, tuple[str, ...]]
     categories: Mapping[str, Listing]
 
+    def __repr__(self) -> str:
+        return (
+            f"RobotSpecification({self.environment}, {self.model}, {self.observation_size} observations, "
+            f"{self.action_size} actions, categories {', '.join(self.categories)})"
+        )
+
     @property
     def title(self) -> str:
         """The robot's name as Gymnasium writes it, for example ``HalfCheetah``."""
@@ -138,12 +147,9 @@ def parse_specification(text: str, name: str) -> RobotSpecification:
     except (ValueError, RecursionError) as error:
         raise CatalogueError(f"{name}: not TOML: {error}") from None
     known = {field.name for field in fields(RobotSpecification)} - {"categories"} | {*CATEGORIES}
-    unknown = sorted(set(data) - known)
-    if unknown:
-        raise CatalogueError(
-            f"{name}: unknown key {unknown[0]!r}{suggestion(unknown[0], known)}; "
-            f"valid: {', '.join(sorted(known))}"
-        )
+    strangers = sorted(set(data) - known)
+    if strangers:
+        raise CatalogueError(unknown(f"{name}: unknown key", strangers[0], sorted(known)))
     page = _Page(data, name)
     environment, model = page.value("environment", _TEXT), page.value("model", _TEXT)
     if not _ENVIRONMENT.fullmatch(environment):
@@ -156,7 +162,7 @@ def parse_specification(text: str, name: str) -> RobotSpecification:
             f"{name}: model {model!r} is not the name of an MJCF file; valid: a file beside the page or one "
             "of Gymnasium's, as in hopper.xml"
         )
-    feet = page.names("feet") if "feet" in data else ()
+    feet = page.names(data["feet"], "feet") if "feet" in data else ()
     groups = page.groups()
     specification = RobotSpecification(
         environment=environment,
@@ -168,7 +174,7 @@ def parse_specification(text: str, name: str) -> RobotSpecification:
         action_bound=page.value("action_bound", _SIZE, 1.0),
         steps_per_second=page.value("steps_per_second", _SIZE),
         max_episode_steps=page.value("max_episode_steps", _COUNT) if "max_episode_steps" in data else None,
-        root_joints=page.names("root_joints", least=0),
+        root_joints=page.names(data.get("root_joints"), "root_joints", least=0),
         feet=feet,
         healthy_z_range=page.healthy_z_range(),
         reward=page.reward(),
@@ -202,9 +208,6 @@ class _Page:
         if not is_valid(value):
             raise self._error(f"{key} must be {name}")
         return value
-
-    def names(self, key: str, least: int = 1) -> tuple[str, ...]:
-        return self._names(self._data.get(key), key, least)
 
     def numbers(self, key: str) -> Mapping[str, float]:
         table = self._table(key, "numbers", int, float)
@@ -245,7 +248,7 @@ class _Page:
                 raise self._error(f"[groups] {name!r} must consist of lower-case letters and digits")
             if members == []:
                 raise self._error(f"[groups] {name} has no members")
-        return MappingProxyType({n: self._names(members, f"[groups] {n}") for n, members in table.items()})
+        return MappingProxyType({n: self.names(members, f"[groups] {n}") for n, members in table.items()})
 
     def listing(self, category: str, feet: tuple[str, ...], groups: Mapping[str, tuple[str, ...]]) -> Listing:
         table = self._data.get(category)
@@ -258,13 +261,13 @@ class _Page:
             type(percent) is int and percent > -100 and percent != 0 for percent in percents
         ):
             raise self._error(f"[{category}] percents must be whole numbers above -100, and not 0")
-        names = self._names(table["bodies"], f"[{category}] bodies")
+        names = self.names(table["bodies"], f"[{category}] bodies")
         if "feet" in names and not feet:
             raise self._error(f"[{category}] has the body feet, but the page has no key feet")
         bodies = {name.replace("_", ""): feet if name == "feet" else (name,) for name in names}
         if len(bodies) < len(names):
             raise self._error(f"[{category}] bodies has two names of one id")
-        widen = self._names(table["widen"], f"[{category}] widen") if "widen" in table else ()
+        widen = self.names(table["widen"], f"[{category}] widen") if "widen" in table else ()
         for name in widen:
             if name not in names:
                 raise self._error(f"[{category}] widen has {name!r}, which is not among its bodies")
@@ -281,7 +284,7 @@ class _Page:
             raise self._error(f"[{key}] must hold {content}")
         return table
 
-    def _names(self, value: Any, key: str, least: int = 1) -> tuple[str, ...]:
+    def names(self, value: Any, key: str, least: int = 1) -> tuple[str, ...]:
         if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
             raise self._error(f"{key} must be a list of names")
         if len(value) < least:

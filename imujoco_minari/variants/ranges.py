@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from imujoco_minari.errors import DrawingError, VariantError, clipped, suggestion
+from imujoco_minari.errors import DrawingError, VariantError, clipped, unknown
+from imujoco_minari.short_repr import short_repr
 from imujoco_minari.variants.changes import Change, plain_number
 from imujoco_minari.variants.context import check_parameters
-from imujoco_minari.variants.ids import BASE, EXPERT, NAMESPACE, Variant
+from imujoco_minari.variants.ids import BASE, EXPERT, Variant, full_id
 from imujoco_minari.variants.pages import CATEGORIES
-from imujoco_minari.variants.robots import adopt_page, carried_page, specification
+from imujoco_minari.variants.robots import carrying, specification
 
 # The name of an environment or a dataset that draws from ranges.
 RANDOMISED = "randomised"
@@ -65,6 +66,8 @@ class Ranges:
     distribution: str = UNIFORM
     name: str = RANDOMISED
 
+    __repr__ = short_repr
+
     def __post_init__(self) -> None:
         if not isinstance(self.ranges, Mapping) or not (names := check_parameters(self.robot, self.ranges)):
             raise DrawingError(
@@ -72,11 +75,7 @@ class Ranges:
             )
         ordered = {name: _checked_range(self.robot, name, self.ranges[name]) for name in names}
         if self.distribution not in DISTRIBUTIONS:
-            near = suggestion(str(self.distribution)[:80], DISTRIBUTIONS)
-            raise DrawingError(
-                f"unknown distribution {clipped(self.distribution)!r}{near}; "
-                f"valid: {', '.join(DISTRIBUTIONS)}"
-            )
+            raise DrawingError(unknown("unknown distribution", self.distribution, DISTRIBUTIONS))
         if not isinstance(self.name, str) or not _NAME.fullmatch(self.name) or self.name in _TAKEN:
             raise DrawingError(
                 f"the name of the ranges is {clipped(self.name)!r}; valid: a lower-case word, but not "
@@ -87,9 +86,7 @@ class Ranges:
         self.draw(0)
 
     def __reduce__(self) -> tuple[Callable[..., Ranges], tuple[Any, ...]]:
-        # As with a variant, the page of a user's robot travels along.
-        page = carried_page(self.robot)
-        return _with_page, (page and dict(page), self.robot, self.ranges, self.distribution, self.name)
+        return carrying(self.robot, Ranges, self.robot, self.ranges, self.distribution, self.name)
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -103,7 +100,7 @@ class Ranges:
 
     def dataset_id(self, tier: str = EXPERT) -> str:
         """Return the Minari id of data of a tier, as in ``imujoco/hopper-randomised-random-v0``."""
-        return f"{NAMESPACE}/{self.robot}-{self.name}{'' if tier == EXPERT else f'-{tier}'}-v0"
+        return full_id(f"{self.robot}-{self.name}", tier)
 
     def draw(self, seed: int) -> Variant:
         """Return the variant that a seed draws, with percents of two decimals."""
@@ -148,12 +145,6 @@ def drawing_ranges(robot: str, *, unlisted: bool = False) -> dict[str, tuple[flo
             pair = (low, high) if listing.percents else _UNLISTED[category]
             ranges |= dict.fromkeys((f"{category}/{body}" for body in listing.bodies), pair)
     return ranges
-
-
-def _with_page(page: Mapping[str, str] | None, robot: str, *values: Any) -> Ranges:
-    if page is not None:
-        adopt_page(robot, page)
-    return Ranges(robot, *values)
 
 
 def _checked_range(robot: str, name: str, bounds: Any) -> tuple[float, ...]:

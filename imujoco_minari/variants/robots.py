@@ -7,14 +7,14 @@ to other processes. So a dataset of such a robot works on machines that do not h
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
-from typing import Protocol, TypeVar
+from typing import Any, TypeVar
 
-from imujoco_minari.errors import CatalogueError, VariantError, as_path, clipped, suggestion
+from imujoco_minari.errors import CatalogueError, VariantError, as_path, clipped, unknown
 from imujoco_minari.variants.pages import RobotSpecification, parse_specification
 
 _ROBOT = re.compile(r"[a-z][a-z0-9]{0,39}", re.ASCII)
@@ -22,11 +22,7 @@ _ROBOT = re.compile(r"[a-z][a-z0-9]{0,39}", re.ASCII)
 _MAX_PAGE_CHARACTERS = 48 * 1024
 
 
-class _Cached(Protocol):
-    def cache_clear(self) -> None: ...
-
-
-_CachedT = TypeVar("_CachedT", bound=_Cached)
+_T = TypeVar("_T")
 
 
 def specification(robot: str) -> RobotSpecification:
@@ -38,8 +34,7 @@ def specification(robot: str) -> RobotSpecification:
     if isinstance(robot, str) and robot in _FAULTS:
         raise CatalogueError(_FAULTS[robot])
     if not isinstance(robot, str) or robot not in _PAGES:
-        shown = clipped(robot)
-        raise VariantError(f"unknown robot {shown!r}{suggestion(shown, _PAGES)}; valid: {', '.join(_PAGES)}")
+        raise VariantError(unknown("unknown robot", robot, _PAGES))
     return _PAGES[robot]
 
 
@@ -135,7 +130,7 @@ def forget_on_error() -> Iterator[None]:
         raise
 
 
-def follows_page(function: _CachedT) -> _CachedT:
+def follows_page(function: _T) -> _T:
     """Mark a cached function that uses pages: :func:`forget_page` clears its cache."""
     _FOLLOWING.append(function)
     return function
@@ -147,6 +142,22 @@ def carried_page(robot: str) -> Mapping[str, str] | None:
     The MJCF text may come from anywhere: :mod:`imujoco_minari.envs` checks it before it compiles it.
     """
     return _CARRIED.get(robot)
+
+
+def carrying(
+    robot: str, make: Callable[..., _T], *arguments: object
+) -> tuple[Callable[..., _T], tuple[Any, ...]]:
+    """Return the ``__reduce__`` of an object of a robot. The page of a user's robot travels along."""
+    page = carried_page(robot)
+    return _make_with_page, (page and dict(page), robot, make, arguments)
+
+
+def _make_with_page(
+    page: Mapping[str, str] | None, robot: str, make: Callable[..., _T], arguments: tuple[object, ...]
+) -> _T:
+    if page is not None:
+        adopt_page(robot, page)
+    return make(*arguments)
 
 
 def _parse(robot: str, page: Mapping[str, str], name: str) -> RobotSpecification:
@@ -187,6 +198,6 @@ _CARRIED: dict[str, Mapping[str, str]] = {}
 # Robot -> the fault of its page, for robots whose pages could not be loaded.
 _FAULTS: dict[str, str] = {}
 # The functions whose caches are cleared when a page is forgotten.
-_FOLLOWING: list[_Cached] = []
+_FOLLOWING: list[Any] = []
 # The robots that the catalogue lists. Their variants are the 154.
 ROBOTS = tuple(robot for robot, page in _PAGES.items() if page.listed)

@@ -13,7 +13,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from imujoco_minari.errors import CatalogueError, VariantError, clipped, suggestion
+from imujoco_minari.errors import CatalogueError, VariantError, clipped, unknown
+from imujoco_minari.short_repr import short_repr
 from imujoco_minari.variants.ids import Variant, catalogue
 from imujoco_minari.variants.robots import ROBOTS, follows_page, known_robots, specification
 
@@ -44,6 +45,8 @@ class HeldOut:
     train: tuple[str, ...]
     test: tuple[str, ...]
     description: str = ""
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "train", self._ids(self.train))
@@ -81,8 +84,7 @@ def held_out(name: str) -> HeldOut:
     """
     splits = _splits(known_robots())
     if not isinstance(name, str) or name not in splits:
-        shown = clipped(name)
-        raise VariantError(f"unknown split {shown!r}{suggestion(shown, splits)}; valid: {', '.join(splits)}")
+        raise VariantError(unknown("unknown split", name, splits))
     return splits[name]
 
 

@@ -39,6 +39,11 @@ class Findings(list[Finding]):
         super().__init__(findings)
         self.exceptions, self.replayable = tuple(exceptions), replayable
 
+    def __repr__(self) -> str:
+        if self:
+            return f"<{len(self)} findings, first {clipped(self[0])}>"
+        return f"<sound{', but ' if self.exceptions else ''}{clipped(', '.join(self.exceptions))}>"
+
     def clip(self) -> None:
         """Keep the first findings, and state that there may be more."""
         if len(self) >= MAX_FINDINGS:

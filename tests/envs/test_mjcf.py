@@ -38,7 +38,7 @@ def test_the_text_is_stable_and_loads_without_a_warning(
     variant: Variant, capfd: pytest.CaptureFixture[str]
 ) -> None:
     first = canonical_mjcf(variant)
-    for cached in (canonical_mjcf, mjcf._edited, mjcf._bake_once):
+    for cached in (canonical_mjcf, mjcf._edited, mjcf._base):
         cached.cache_clear()
     assert canonical_mjcf(variant) == first
     model = mujoco.MjModel.from_xml_string(first)

@@ -70,11 +70,14 @@ def test_a_dataset_id_names_a_compound_variant_and_a_tier() -> None:
     ("text", "message"),
     [
         ("hopper-massinc_50_leggeom-massdec_5_leggeom", "the mass of leg_geom is changed twice"),
-        ("hopper-massinc_50_leggeom-massdec_5_legeom", r"no body 'legeom' for mass \(did you mean"),
+        (
+            "hopper-massinc_50_leggeom-massdec_5_legeom",
+            r"the mass of hopper has no body 'legeom' \(did you mean",
+        ),
         ("hopper-massinc_50_leggeom-random", "malformed variant id"),
-        ("hopper-massinc_50p250_leggeom", "at most two decimals, without zeros at the end"),
+        ("hopper-massinc_50p250_leggeom", "write 'massinc_50p250_leggeom' as 'massinc_50p25_leggeom'"),
         ("hopper-massinc_50p123_leggeom", "at most two decimals"),
-        ("hopper-massinc_50p0_leggeom", "without zeros at the end"),
+        ("hopper-massinc_50p0_leggeom", "as 'massinc_50_leggeom'"),
         ("hopper-massdec_100p5_leggeom", "leaves nothing of the mass"),
     ],
 )

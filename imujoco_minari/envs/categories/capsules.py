@@ -1,4 +1,7 @@
-"""Limbs that are one capsule: their shape changes, and their density stays."""
+"""The categories that change the shape of a limb, which is one capsule: its length, and its thickness.
+
+The density stays, so the mass changes with the shape.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +9,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from imujoco_minari.envs.categories.interface import Edit
+from imujoco_minari.envs.categories.interface import CategoryLaw, Edit, find_all
 from imujoco_minari.errors import ModelError
 
 Floats = NDArray[np.float64]
 
 # The fields of the compiled model that follow from the shape of a limb.
-SHAPE_FIELDS = frozenset(
+_FIELDS = frozenset(
     (
         *("body_mass", "body_inertia", "body_ipos", "body_iquat", "body_pos", "geom_size", "geom_pos"),
         *("qpos0", "jnt_pos", "body_sameframe", "geom_sameframe", "body_simple"),
@@ -31,7 +34,7 @@ def compile_shape(spec: mujoco.MjSpec) -> mujoco.MjModel:
     return copied.compile()
 
 
-def reshape(edit: Edit, body: mujoco.MjsBody, *, length: float = 1.0, radius: float = 1.0) -> None:
+def _reshape(edit: Edit, body: mujoco.MjsBody, *, length: float = 1.0, radius: float = 1.0) -> None:
     """Scale the length of a capsule's segment and its radius. The density stays.
 
     The point of the segment nearest to the limb's joint stays where it is, or the centre if the limb has no
@@ -60,7 +63,8 @@ def reshape(edit: Edit, body: mujoco.MjsBody, *, length: float = 1.0, radius: fl
         geom.size = model.geom_size[index]
     thickness, half = geom.size[0], geom.size[1]
     centre = np.array(geom.pos)
-    density = body.mass / _volume(thickness, half) if body.explicitinertial else geom.density
+    volume = float(np.pi * thickness**2 * (2.0 * half + 4.0 / 3.0 * thickness))
+    density = body.mass / volume if body.explicitinertial else geom.density
     hinges = [joint for joint in body.joints if joint.name not in edit.page.root_joints]
     fixed = 0.0 if not hinges else float(np.clip((hinges[0].pos - centre) @ axis, -half, half))
 
@@ -92,5 +96,18 @@ def _rotated(vector: Floats, quat: Floats) -> Floats:
     return result
 
 
-def _volume(radius: float, half: float) -> float:
-    return float(np.pi * radius**2 * (2.0 * half + 4.0 / 3.0 * radius))
+def _stretch(edit: Edit) -> None:
+    # From mass to density and back would cost the last bit.
+    if edit.factor != 1.0:
+        for body in find_all(edit, "limb"):
+            _reshape(edit, body, length=edit.factor)
+
+
+def _thicken(edit: Edit) -> None:
+    if edit.factor != 1.0:
+        for body in find_all(edit, "limb"):
+            _reshape(edit, body, radius=edit.factor)
+
+
+LENGTH = CategoryLaw("length", "length", "length", "limb", _stretch, _FIELDS, moves_limbs=True)
+SIZE = CategoryLaw("size", "thickness", "thickness", "limb", _thicken, _FIELDS, moves_limbs=True)

@@ -17,29 +17,28 @@ from imujoco_minari.envs.categories.interface import CategoryLaw, Edit, find, fi
 def _apply(edit: Edit) -> None:
     floor = find(edit.spec, "geom", "floor")
     for foot in find_all(edit, "geom"):
-        slide, spin, roll = _either(foot, floor, "friction")
+        slide, spin, roll = _contact(foot, floor, "friction")
         slide *= edit.factor
         pair = edit.spec.add_pair(geomname1="floor", geomname2=foot.name)
-        pair.condim = int(_either(foot, floor, "condim"))
+        pair.condim = int(_contact(foot, floor, "condim"))
         pair.friction = [slide, slide, spin, roll, roll]
-        pair.solref, pair.solimp = _mixed(foot, floor, "solref"), _mixed(foot, floor, "solimp")
+        pair.solref, pair.solimp = _contact(foot, floor, "solref"), _contact(foot, floor, "solimp")
         pair.margin = foot.margin + floor.margin
         pair.gap = foot.gap + floor.gap
 
 
-def _either(foot: Any, floor: Any, name: str) -> Any:
-    """Return the larger value of the two geoms, or that of the geom with the higher priority."""
+def _contact(foot: Any, floor: Any, name: str) -> Any:
+    """Return a parameter of the contact of two geoms.
+
+    It is that of the geom with the higher priority. Of two with one priority, it is the larger value, or for
+    the solver's parameters the mean by the weights of the geoms.
+    """
     if foot.priority != floor.priority:
         return getattr(max(foot, floor, key=lambda geom: geom.priority), name)
-    return np.maximum(getattr(foot, name), getattr(floor, name))
-
-
-def _mixed(foot: Any, floor: Any, name: str) -> Any:
-    """Return the mean of the two geoms by their weights, or the value of the geom with priority."""
-    if foot.priority != floor.priority:
-        return getattr(max(foot, floor, key=lambda geom: geom.priority), name)
+    if name in ("friction", "condim"):
+        return np.maximum(getattr(foot, name), getattr(floor, name))
     share = foot.solmix / (foot.solmix + floor.solmix)
     return share * getattr(foot, name) + (1 - share) * getattr(floor, name)
 
 
-CATEGORY = CategoryLaw("friction", "friction", "friction on the floor", "geom", _apply, frozenset())
+FRICTION = CategoryLaw("friction", "friction", "friction on the floor", "geom", _apply, frozenset())

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import mujoco
 
-from imujoco_minari.errors import ModelError, suggestion
+from imujoco_minari.errors import ModelError, unknown
+from imujoco_minari.short_repr import short_repr
 from imujoco_minari.variants import RobotSpecification
 
 
@@ -24,11 +25,11 @@ class Edit:
         base: the unchanged model, compiled. Categories take measures from it, and do not change it.
     """
 
-    spec: mujoco.MjSpec
+    spec: mujoco.MjSpec = field(repr=False)
     names: tuple[str, ...]
     factor: float
-    page: RobotSpecification
-    base: mujoco.MjModel
+    page: RobotSpecification = field(repr=False)
+    base: mujoco.MjModel = field(repr=False)
 
 
 @dataclass(frozen=True)
@@ -51,9 +52,11 @@ class CategoryLaw:
     noun: str
     quantity: str
     part: str
-    apply: Callable[[Edit], None]
+    apply: Callable[[Edit], None] = field(repr=False)
     fields: frozenset[str]
     moves_limbs: bool = False
+
+    __repr__ = short_repr
 
 
 def find(spec: mujoco.MjSpec, part: str, name: str) -> Any:
@@ -79,10 +82,7 @@ def find(spec: mujoco.MjSpec, part: str, name: str) -> Any:
         found = getattr(spec, part)(name)
         known = [element.name for element in getattr(spec, f"{part}s")]
     if found is None:
-        known = [each for each in known if each]
-        raise ModelError(
-            f"the model has no {part} {name!r}{suggestion(name, known)}; valid: {', '.join(known)}"
-        )
+        raise ModelError(unknown(f"the model has no {part}", name, filter(None, known)))
     return found
 
 

@@ -20,6 +20,7 @@ from imujoco_minari.pictures.gallery.entries import Entry, ResultTable, scores
 from imujoco_minari.pictures.gallery.pages import index_page, variant_page
 from imujoco_minari.pictures.rendering.files import check_format
 from imujoco_minari.pictures.rendering.studio import Studio
+from imujoco_minari.short_repr import short_repr
 from imujoco_minari.storage.files import write_text
 from imujoco_minari.variants import Variant, catalogue, known_robots
 
@@ -42,6 +43,8 @@ class Built:
     variants: int
     drawn: int
     failed: dict[str, str]
+
+    __repr__ = short_repr
 
 
 def build(

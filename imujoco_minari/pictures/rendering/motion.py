@@ -20,6 +20,7 @@ from imujoco_minari.envs.mjcf import Floats, compile_mjcf, model_text
 from imujoco_minari.envs.registration import make
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError
 from imujoco_minari.policies import Array, Policy
+from imujoco_minari.short_repr import short_repr
 from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.storage.containment import LinkedFiles
 from imujoco_minari.storage.metadata import read_metadata
@@ -54,6 +55,8 @@ class Motion:
     divergence: float = 0.0
     mjcf: str | None = None
     tier: str = ""
+
+    __repr__ = short_repr
 
     @property
     def duration(self) -> float:

@@ -36,6 +36,9 @@ class Studio:
         self._models: dict[tuple[Variant, str], mujoco.MjModel] = {}
         self._stack = ExitStack()
 
+    def __repr__(self) -> str:
+        return f"Studio({self.width}x{self.height})"
+
     def __enter__(self) -> Studio:
         return self
 
