@@ -46,23 +46,22 @@ def measured_record(variant: Variant) -> Mapping[str, Any]:
 def ladder(variant: Variant) -> Sequence[Rung]:
     """Return the rungs of a variant's ladder, the lowest return first.
 
-    An own expert's record has its ladder. The ladder of a folded expert consists of all rungs that the robot
-    has. They are evaluated on the variant at the first need, and the result is kept beside the user's
-    policies.
+    A record may have a ladder. Any other ladder consists of all rungs that the robot has. They are evaluated
+    on the variant at the first need, and the result is kept beside the user's policies.
 
     Raises:
         PolicyNotFoundError: if the variant has no expert, or its robot has no rungs.
     """
     record = measured_record(variant)
     rungs = record.get("ladder", [])
-    if not rungs and record.get("start") == FOLDED:
+    if record and not rungs:
         for rung in rungs_of_robot(variant.base):
             actor = read_rung(variant, rung)
             rungs.append(rung | {"evaluation": _evaluation(variant, actor, LADDER_SEED, LADDER_EPISODES)})
         keep_measured(variant, evaluations_of(record) | {"ladder": rungs})
     if not rungs:
         raise PolicyNotFoundError(
-            f"no ladder of policies exists for {variant}: `imujoco train {variant}` measures one"
+            f"no ladder of policies exists for {variant}: `imujoco train {variant.base}` makes one"
         )
     return sorted(rungs, key=mean_return)
 

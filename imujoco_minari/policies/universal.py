@@ -167,19 +167,28 @@ def read_universal(weights: Path) -> UniversalPolicy:
     return _read(weights, path, weights.stat().st_mtime_ns, path.stat().st_mtime_ns)
 
 
+def universal_of_record(actor: Actor, record: Mapping[str, Any]) -> UniversalPolicy:
+    """Return the universal policy with a record, which states the robot and the ranges of the parameters.
+
+    Raises:
+        ValueError: if a range is not one.
+        PolicyError: if the actor does not fit the robot.
+    """
+    ranges = [record["ranges"][name] for name in parameters(record["robot"])]
+    low, high = np.array(ranges, float).reshape(len(ranges), 2).T / 100
+    if not (np.isfinite([low, high]).all() and (low <= high).all()):
+        raise ValueError("a range must be two finite numbers, the lower one first")
+    return UniversalPolicy(record["robot"], actor, low, high, record)
+
+
 @lru_cache(maxsize=8)
 def _read(weights: Path, path: Path, *changed: int) -> UniversalPolicy:
     try:
         record = json.loads(path.read_text("utf-8"))
-        ranges = record["ranges"]
-        robot, names = record["robot"], parameters(record["robot"])
-        low, high = np.array([ranges[name] for name in names], float).reshape(len(names), 2).T / 100
-        if not (np.isfinite([low, high]).all() and (low <= high).all()):
-            raise ValueError("a range must be two finite numbers, the lower one first")
         if not isinstance(record["measured"], dict) or not isinstance(record["algorithm"], str):
             raise ValueError("measured must be a table and algorithm a text")
         actor = actor_of_bytes(weights.read_bytes(), weights.name, record["algorithm"], True, {})
+        return universal_of_record(actor, record)
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError, OSError, ImujocoError) as error:
         reason = clipped(str(error) if isinstance(error, ImujocoError) else repr(error))
         raise PolicyError(f"{path}: not the record of a universal policy: {reason}") from None
-    return UniversalPolicy(robot, actor, low, high, record)

@@ -15,12 +15,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from imujoco_minari.envs.registration import make
 from imujoco_minari.policies import Actor, Array
 from imujoco_minari.policies.evaluation import evaluate
-from imujoco_minari.policies.rollouts import episode_seed
 from imujoco_minari.policies.universal import FIRST_WEIGHT, whole_context
-from imujoco_minari.training.agents import import_jax
+from imujoco_minari.training.agents import as_stored, import_jax
+from imujoco_minari.training.lanes import Lanes
 from imujoco_minari.variants import Variant
 
 # Seed of the episodes that choose teachers.
@@ -104,36 +103,6 @@ def best_teacher(variant: Variant, candidates: dict[str, Actor], base_return: fl
     return Lesson(variant, candidates[names[0]], names[0], returns[names[0]] / base_return)
 
 
-class Lanes:
-    """One environment for each of several variants, stepped together without end."""
-
-    def __init__(self, variants: Sequence[Variant], seed: int) -> None:
-        self._envs = [make(variant, disable_env_checker=True) for variant in variants]
-        self._seed, self._episodes = seed, 0
-        self.observations = np.array([self._reset(env) for env in self._envs])
-
-    def _reset(self, env: Any) -> Any:
-        self._episodes += 1
-        return env.reset(seed=episode_seed(self._seed, self._episodes))[0]
-
-    def step(self, actions: Array) -> Array:
-        """Act in every environment and return the rewards. An environment that has ended is reset."""
-        rewards = np.empty(len(self._envs))
-        for lane, (env, action) in enumerate(zip(self._envs, actions, strict=True)):
-            observation, rewards[lane], terminated, truncated, _ = env.step(action)
-            self.observations[lane] = self._reset(env) if terminated or truncated else observation
-        return rewards
-
-    def restart(self) -> None:
-        """Reset every environment."""
-        self.observations = np.array([self._reset(env) for env in self._envs])
-
-    def close(self) -> None:
-        """Close the environments."""
-        for env in self._envs:
-            env.close()
-
-
 def distil(
     lessons: Sequence[Lesson],
     start: Actor,
@@ -155,9 +124,11 @@ def distil(
     begin, rng = time.monotonic(), np.random.default_rng(settings.seed)
     contexts = np.array([whole_context(lesson.variant) for lesson in lessons], np.float32)
     teachers = [lesson.teacher for lesson in lessons]
-    bound = teachers[0].bound
     student = Student(start, contexts.shape[1], teachers[0].observation_size, settings)
-    lanes, memory = Lanes([lesson.variant for lesson in lessons], settings.seed), _Memory()
+    variants, memory = [lesson.variant for lesson in lessons], _Memory()
+    lanes = Lanes(
+        variants[0].robot, len(lessons), lambda lane, episode: variants[lane], settings.seed, told=True
+    )
 
     def record(act: Callable[[Array], Array]) -> Array:
         """Act in every variant, remember what was seen, and return the mean rewards."""
@@ -165,7 +136,7 @@ def distil(
         seen, rewards = [], np.zeros(len(lessons))
         for _ in range(settings.steps):
             seen.append(lanes.observations.astype(np.float32))
-            rewards += lanes.step(np.clip(act(lanes.observations), -1, 1) * bound)
+            rewards += lanes.step(np.clip(act(lanes.observations), -1, 1)).rewards
         memory.add(np.array(seen), contexts, teachers)
         return rewards / settings.steps
 
@@ -280,4 +251,4 @@ class Student:
 
     def weights(self) -> dict[str, Array]:
         """Return the weights as float16, the precision that is stored."""
-        return {name: np.asarray(array).astype(np.float16) for name, array in self._params.items()}
+        return as_stored(self._params)
