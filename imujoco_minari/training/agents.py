@@ -6,7 +6,6 @@ be read without SBX. The actor is returned under Stable-Baselines3's names.
 
 from __future__ import annotations
 
-import gc
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -31,6 +30,9 @@ _LAYERS = {
     "Dense_2": "mu",
     "Dense_3": "log_std",
 }
+
+
+_FUNCTIONS: dict[tuple[Any, ...], dict[str, dict[str, Any]]] = {}
 
 
 class _Spaces(gym.Env[Any, Any]):
@@ -85,6 +87,15 @@ def make_agent(
     )
     entropy, optimiser = agent.ent_coef_state, adam(learning_rate=settings.learning_rate)
     agent.ent_coef_state = entropy.replace(tx=optimiser, opt_state=optimiser.init(entropy.params))
+    # Compiled programs are those of these functions, so equal agents share them: no second one compiles.
+    key = (inputs, actions, settings.critic_width, settings.momentum)
+    functions = _FUNCTIONS.setdefault(
+        key, {name: {"apply_fn": s.apply_fn, "tx": s.tx} for name, s in _train_states(agent).items()}
+    )
+    policy = agent.policy
+    policy.actor_state = policy.actor_state.replace(**functions["actor"])
+    policy.qf_state = policy.qf_state.replace(**functions["qf"])
+    agent.ent_coef_state = agent.ent_coef_state.replace(**functions["entropy"])
     return agent
 
 
@@ -119,14 +130,6 @@ def _set_default_device(device: str) -> None:
             f"JAX has no device {device!r} here; valid: {', '.join(available)} "
             '(for an NVIDIA GPU, `pip install "jax[cuda12]"`)'
         ) from None
-
-
-def forget_compiled() -> None:
-    """Free the compiled programs of closed agents, 75 MB each. A sweep makes hundreds of agents."""
-    import jax
-
-    gc.collect()
-    jax.clear_caches()
 
 
 def agent_arrays(agent: Any) -> dict[str, Array]:

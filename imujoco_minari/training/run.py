@@ -30,7 +30,6 @@ from imujoco_minari.training.agents import (
     agent_actor,
     agent_arrays,
     as_stored,
-    forget_compiled,
     load_arrays,
     make_agent,
     replace_actor,
@@ -42,7 +41,7 @@ from imujoco_minari.training.hyperparameters import SCRATCH
 from imujoco_minari.training.lanes import Lanes, Wrap
 from imujoco_minari.training.selection import RANKING_SEED, better, look
 from imujoco_minari.training.task import Task
-from imujoco_minari.training.updates import set_rates, update, update_loop
+from imujoco_minari.training.updates import hold, set_rates, update
 from imujoco_minari.variants import BASE, Variant, specification
 
 # Calls of the update loop between two updates of the averaged weights.
@@ -113,9 +112,9 @@ class Run:
         inputs = self._lanes.inputs.shape[1]
         self._buffer = ReplayBuffer(settings.buffer_size, inputs, page.observation_size, page.action_size)
         self._agent = make_agent(inputs, page.action_size, settings, task.seed, device)
-        # What the run began as holds it, also after it was resumed.
-        held = bool(task.agent)
-        self._loop = update_loop(agent_actor(task.agent) if held else {}, settings.anchor * held)
+        if task.agent and settings.anchor:
+            # What the run began as holds it, also after it was resumed.
+            hold(self._agent, agent_actor(task.agent), settings.anchor)
         if (folder / _CHECKPOINT_NAME).is_file():
             self._load_checkpoint()
         else:
@@ -145,10 +144,8 @@ class Run:
         return reached or self.progress.steps >= self.task.settings.max_steps
 
     def close(self) -> None:
-        """Close the environments and free the agent."""
+        """Close the environments."""
         self._lanes.close()
-        self._agent = None
-        forget_compiled()
 
     def train_interval(self) -> None:
         """Train for one interval, evaluate the actor and write a checkpoint."""
@@ -228,7 +225,7 @@ class Run:
         settings = self.task.settings
         count, offset = settings.updates_per_call, (self.progress.updates + 1) % delay
         data = self._buffer.sample(self._rng, count * settings.batch_size, settings.gamma)
-        update(self._agent, self._loop, data, count, delay, offset)
+        update(self._agent, data, count, delay, offset)
         self._actor = None
 
     def _evaluate(self, begin: float) -> None:

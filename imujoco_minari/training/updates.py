@@ -3,33 +3,48 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 from imujoco_minari.policies import Array
 
 
-def update_loop(anchor: Mapping[str, Array], alpha: float) -> Any:
-    """Return SBX's update loop of CrossQ.
+def hold(agent: Any, anchor: Mapping[str, Array], alpha: float) -> None:
+    """Hold an agent's actor near a policy, as TD3+BC holds a policy to data (Fujimoto and Gu 2021).
 
-    With an anchor, the actor's loss has another term: ``mean|Q| / alpha`` times the squared distance between
-    the modes of actor and anchor, as TD3+BC holds a policy to data (Fujimoto and Gu 2021).
+    The actor's loss has another term: ``mean|Q| / alpha`` times the squared distance between the modes of
+    actor and anchor.
 
     Args:
-        anchor: weights of the policy that holds the actor, under Stable-Baselines3's names.
-        alpha: how far the actor may go from the anchor; larger is further, 0 is without an anchor.
+        agent: the agent.
+        anchor: the policy's weights, under Stable-Baselines3's names.
+        alpha: how far the actor may go from the anchor; larger is further.
     """
+    import jax.numpy as jnp
+
+    state_class, _ = _anchored()
+    own = agent.policy.actor_state
+    fixed = {name: jnp.asarray(array, jnp.float32) for name, array in anchor.items()}
+    agent.policy.actor_state = state_class(**vars(own), anchor=fixed, alpha=jnp.float32(alpha))
+
+
+@cache
+def _anchored() -> tuple[Any, Any]:
+    """Return the class of an actor's state with an anchor, and the update loop for it."""
     import jax
     import jax.numpy as jnp
+    from flax import struct
     from sbx import CrossQ
+    from sbx.common.type_aliases import BatchNormTrainState
 
-    if not alpha:
-        return CrossQ._train
-    fixed = {name: jnp.asarray(array, jnp.float32) for name, array in anchor.items()}
+    class AnchoredState(BatchNormTrainState):  # type: ignore[misc]
+        anchor: Any = struct.field(default=None)
+        alpha: Any = struct.field(default=None)
 
-    def anchored_mode(x: Any) -> Any:
+    def anchored_mode(weights: Any, x: Any) -> Any:
         for layer in ("latent_pi.0", "latent_pi.2"):
-            x = jax.nn.relu(x @ fixed[f"{layer}.weight"].T + fixed[f"{layer}.bias"])
-        return jnp.tanh(x @ fixed["mu.weight"].T + fixed["mu.bias"])
+            x = jax.nn.relu(x @ weights[f"{layer}.weight"].T + weights[f"{layer}.bias"])
+        return jnp.tanh(x @ weights["mu.weight"].T + weights["mu.bias"])
 
     class AnchoredCrossQ(CrossQ):  # type: ignore[misc]
         @staticmethod
@@ -54,28 +69,28 @@ def update_loop(anchor: Mapping[str, Array], alpha: float) -> Any:
                 )
                 lowest = jnp.min(values, axis=0)
                 entropy = ent_coef_state.apply_fn({"params": ent_coef_state.params})
-                away = ((chosen.mode() - anchored_mode(observations)) ** 2).mean()
-                weight = jax.lax.stop_gradient(jnp.abs(lowest).mean()) / alpha
+                away = ((chosen.mode() - anchored_mode(actor_state.anchor, observations)) ** 2).mean()
+                weight = jax.lax.stop_gradient(jnp.abs(lowest).mean()) / actor_state.alpha
                 return (entropy * log_prob - lowest).mean() + weight * away, -log_prob.mean()
 
             (value, entropy), gradient = jax.value_and_grad(loss, has_aux=True)(actor_state.params)
             return actor_state.apply_gradients(grads=gradient), qf_state, value, key, entropy
 
-    return AnchoredCrossQ._train
+    return AnchoredState, AnchoredCrossQ._train
 
 
-def update(agent: Any, loop: Any, data: Any, count: int, delay: int, offset: int) -> None:
+def update(agent: Any, data: Any, count: int, delay: int, offset: int) -> None:
     """Make gradient steps of an agent, one for each equal part of the data.
 
     Args:
         agent: the agent.
-        loop: the result of :func:`update_loop`.
         data: the transitions of all steps.
         count: number of steps.
         delay: steps of the critics for each step of the actor.
         offset: number of the first step, modulo ``delay``.
     """
     policy = agent.policy
+    loop = _anchored()[1] if hasattr(policy.actor_state, "anchor") else agent._train
     policy.qf_state, policy.actor_state, agent.ent_coef_state, agent.key, _ = loop(
         agent.target_entropy,
         count,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import weakref
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,7 +25,6 @@ from imujoco_minari.training.agents import (
     actor_weights,
     agent_actor,
     agent_arrays,
-    forget_compiled,
     load_arrays,
     make_agent,
     restore_agent,
@@ -45,7 +43,6 @@ LIGHT_LEG = Variant.parse("hopper-massdec_25_leggeom")
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore::DeprecationWarning"),
-    pytest.mark.usefixtures("kept_compiled"),
 ]
 
 
@@ -198,8 +195,7 @@ def test_the_rate_falls_by_a_cosine_from_the_middle_to_the_end() -> None:
     assert rates[5] == rates[6] == pytest.approx(1e-4)
 
 
-def test_a_run_settles_and_frees_its_agent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("imujoco_minari.training.run.forget_compiled", forget_compiled)
+def test_a_run_settles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         type(hyperparameters("hopper", WARM)), "rate", lambda settings, steps: 1e-3 * (steps < 260)
     )
@@ -217,9 +213,7 @@ def test_a_run_settles_and_frees_its_agent(tmp_path: Path, monkeypatch: pytest.M
     assert all(np.array_equal(learning[name], settled[name]) for name in settled)
     first = actor_weights(Run(run.task, tmp_path / "other")._agent)
     assert not all(np.array_equal(first[name].astype(np.float16), after[name]) for name in after)
-    agent = weakref.ref(run._agent)
     run.close()
-    assert agent() is None
 
 
 def test_the_averaged_weights_are_another_candidate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
