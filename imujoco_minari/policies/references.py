@@ -14,6 +14,7 @@ from imujoco_minari.policies.rungs import (
     LADDER_EPISODES,
     LADDER_SEED,
     Rung,
+    has_medium,
     mean_return,
     read_rung,
     rungs_of_robot,
@@ -46,16 +47,18 @@ def measured_record(variant: Variant) -> Mapping[str, Any]:
 def ladder(variant: Variant) -> Sequence[Rung]:
     """Return the rungs of a variant's ladder, the lowest return first.
 
-    A record may have a ladder. Any other ladder consists of all rungs that the robot has. They are evaluated
-    on the variant at the first need, and the result is kept beside the user's policies.
+    A record may have a ladder. If it has no rung for ``medium``, all rungs of the robot are added: they are
+    evaluated on the variant at the first need, and the result is kept beside the user's policies.
 
     Raises:
         PolicyNotFoundError: if the variant has no expert, or its robot has no rungs.
     """
     record = measured_record(variant)
-    rungs = record.get("ladder", [])
-    if record and not rungs:
-        for rung in rungs_of_robot(variant.base):
+    rungs = list(record.get("ladder", []))
+    known = [(rung.get("run"), rung["steps"]) for rung in rungs]
+    missing = [rung for rung in rungs_of_robot(variant.base) if (rung.get("run"), rung["steps"]) not in known]
+    if record and missing and not has_medium(record):
+        for rung in missing:
             actor = read_rung(variant, rung)
             rungs.append(rung | {"evaluation": _evaluation(variant, actor, LADDER_SEED, LADDER_EPISODES)})
         keep_measured(variant, evaluations_of(record) | {"ladder": rungs})
