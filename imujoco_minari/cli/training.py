@@ -287,7 +287,7 @@ def policies(
         robots = ROBOTS if robot is None else (robot,)
         lines = standings(robots, bases + [each for each in CATEGORIES if category in (None, each)])
         if as_json:
-            print_json([vars(line) for line in lines])
+            print_json([line._asdict() for line in lines])
             return
         print_table(COLUMNS, [line.cells() for line in lines], numeric=COLUMNS[2:])
         out.print(

@@ -9,7 +9,7 @@ from typing import Any
 from imujoco_minari.errors import PolicyNotFoundError
 from imujoco_minari.policies.actors import Actor, Policy
 from imujoco_minari.policies.experts import FOLDED, expert_actor, expert_record, keep_measured
-from imujoco_minari.policies.measuring import measure, summary
+from imujoco_minari.policies.measuring import measure
 from imujoco_minari.policies.rungs import (
     LADDER_EPISODES,
     LADDER_SEED,
@@ -61,17 +61,13 @@ def ladder(variant: Variant) -> Sequence[Rung]:
         for rung in missing:
             actor = read_rung(variant, rung)
             rungs.append(rung | {"evaluation": _evaluation(variant, actor, LADDER_SEED, LADDER_EPISODES)})
-        keep_measured(variant, evaluations_of(record) | {"ladder": rungs})
+        evaluated = {name: record[name] for name in ("weights_sha256", "evaluation", "random")}
+        keep_measured(variant, evaluated | {"ladder": rungs})
     if not rungs:
         raise PolicyNotFoundError(
             f"no ladder of policies exists for {variant}: `imujoco train {variant.base}` makes one"
         )
     return sorted(rungs, key=mean_return)
-
-
-def evaluations_of(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the part of a record that :func:`evaluations` makes."""
-    return {name: record[name] for name in ("weights_sha256", "evaluation", "random")}
 
 
 def weakness_of(variant: Variant) -> str:
@@ -128,5 +124,4 @@ def random_evaluation(variant: Variant) -> dict[str, Any]:
 
 
 def _evaluation(variant: Variant, policy: Policy, seed: int, episodes: int = EPISODES) -> dict[str, Any]:
-    returns, lengths, _ = measure(variant, policy, episodes, seed)
-    return summary(returns, lengths, seed, policy.deterministic)
+    return measure(variant, policy, episodes, seed).asdict()
