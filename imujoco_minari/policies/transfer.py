@@ -137,15 +137,14 @@ def evaluate_transfer(
         TransferError: if the state file has another format, or a process was lost.
         StorageError: if the state file cannot be written.
     """
-    wanted = [
-        _Cell(
-            name,
-            policy.for_robot(variant.robot) if isinstance(policy, Actor) else policy,
-            variant,
-            episodes,
-            seed,
-        )
+    robot = variants[0].robot
+    fitting = {
+        name: policy.for_robot(robot) if isinstance(policy, Actor) else policy
         for name, policy in policies.items()
+    }
+    wanted = [
+        _Cell(name, policy, variant, episodes, seed)
+        for name, policy in fitting.items()
         for variant in variants
     ]
     known = _read_state(state)
