@@ -23,7 +23,7 @@ from imujoco_minari.training.hyperparameters import Hyperparameters
 ALGORITHM = "CrossQ"
 # The parts of an agent that a new run starts from. The optimisers begin anew.
 CRITICS = ("qf/params", "qf/batch_stats", "entropy/params")
-STARTING = ("actor/params", *CRITICS)
+STARTING = ("actor/params/Dense", *CRITICS)
 _LAYERS = {
     "Dense_0": "latent_pi.0",
     "Dense_1": "latent_pi.2",

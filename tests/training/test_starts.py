@@ -12,7 +12,7 @@ from imujoco_minari.policies import Array, agent_file, expert_record, universal_
 from imujoco_minari.policies.evaluation import Evaluation
 from imujoco_minari.policies.experts import FOLDED
 from imujoco_minari.training import starts
-from imujoco_minari.training.agents import actor_of, agent_actor, load_arrays
+from imujoco_minari.training.agents import CRITICS, actor_of, agent_actor, load_arrays
 from imujoco_minari.training.critics import fold_critics, with_context
 from imujoco_minari.training.starts import best_start
 from imujoco_minari.variants import Variant, specification
@@ -63,7 +63,7 @@ def test_folded_critics_judge_as_those_that_are_told() -> None:
     assert critic(folded, np.concatenate([seen, actions], axis=1)) == pytest.approx(whole, rel=1e-4, abs=1e-3)
     base = load_arrays(agent_file(Variant("hopper")) or Path())
     assert {name: array.shape for name, array in folded.items()} == {
-        name: array.shape for name, array in base.items() if name.startswith(("qf/", "entropy/"))
+        name: array.shape for name, array in base.items() if name.startswith(CRITICS)
     }
 
 
