@@ -95,14 +95,3 @@ def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
     from imujoco_minari.policies.sb3_reader import read_zip
 
     monkeypatch.setattr(files, "run_limited", lambda function, argument, **limits: read_zip(argument))
-
-
-@pytest.fixture(scope="module")
-def kept_compiled() -> Iterator[None]:
-    """Keep JAX's compiled programs when a run is closed: the next agent would compile them again."""
-    from imujoco_minari.training.agents import forget_compiled
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("imujoco_minari.training.run.forget_compiled", lambda: None)
-        yield
-    forget_compiled()

@@ -8,13 +8,11 @@ TINY: dict[str, Any] = {
     "exploration_steps": 150,
     "evaluate_every": 100,
     "max_steps": 350,
-    "settling_steps": 0,
+    "settling_from": 1.0,
+    "buffer_size": 1000,
     "batch_size": 16,
     "ranking_episodes": 1,
     "choosing_episodes": 2,
     "deciding_episodes": 3,
     "confirming_episodes": 3,
 }
-
-# The agent is made anew, and so compiled anew, where its learning rate changes.
-SETTLING = TINY | {"settling_steps": 100}

@@ -20,7 +20,6 @@ from imujoco_minari.cli.printing import counted, out, print_json, print_table, s
 from imujoco_minari.cli.selection import Filters, VariantChoice
 from imujoco_minari.errors import ArgumentError
 from imujoco_minari.policies import expert_record, expert_variants, policies_folder
-from imujoco_minari.policies.rungs import mean_return, medium_rung
 from imujoco_minari.policies.standing import COLUMNS, share_of_base, standings
 from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS, Variant
 
@@ -65,10 +64,6 @@ def train_variants(
     improve: Annotated[
         bool, typer.Option("--improve", help="Train finished policies further, and keep the better ones.")
     ] = False,
-    ladders: Annotated[
-        bool,
-        typer.Option("--ladders", help="Measure the ladders of finished policies again, and complete them."),
-    ] = False,
     record_replay: Annotated[
         bool, typer.Option("--record-replay", help="Publish the run's transitions as the tier replay.")
     ] = False,
@@ -107,15 +102,14 @@ def train_variants(
         changes=changes,
         nice=nice,
         improve=improve,
-        ladders=ladders,
         device=device,
     )
     if universal and robot is not None:
-        outcomes = _universal(robot, plan, max_steps, as_json)
+        outcomes = _universal(robot, plan, as_json)
         gather(outcomes, describe_universal, as_json=as_json, name="variant")
         return
     if len(chosen) > 1 and not as_json:
-        say(training_line(chosen, output, jobs, improve=improve or ladders or record_replay))
+        say(training_line(chosen, output, jobs, improve=improve or record_replay))
     if record_replay:
         os.nice(nice)
         gather(_recorded(chosen, plan, as_json), describe_published, as_json=as_json)
@@ -154,33 +148,44 @@ def _trained(
     yield from advancing(outcomes, "training", len(chosen), quiet=quiet)
 
 
-def _universal(robot: str, plan: Plan, steps: int | None, quiet: bool) -> Iterator[Trained]:
+def _universal(robot: str, plan: Plan, quiet: bool) -> Iterator[Trained]:
     """Train the universal policy of a robot and yield the outcome."""
-    from imujoco_minari.training.anchored import Anchored
-    from imujoco_minari.training.universal import UniversalSettings, train_universal
+    from imujoco_minari.training.universal import train_universal
 
     os.nice(plan.nice)
-    anchored = Anchored(seed=plan.seed, **({} if steps is None else {"steps": steps}))
-    yield train_universal(robot, plan, UniversalSettings(anchored=anchored), None if quiet else say)
+    tell = (lambda line: None) if quiet else say
+    yield train_universal(robot, plan, say=tell, on_interval=_teller(quiet))
 
 
 def _teller(quiet: bool) -> OnInterval:
     """Return a function that prints a line after each evaluation, with the longest time that is left."""
 
     def tell(state: Progress, task: Task) -> None:
-        last = state.evaluations[-1] if state.evaluations else None
-        if quiet or last is None or last["steps"] != state.steps:
+        last = state.evaluations[-1] if state.evaluations else {}
+        if quiet or last.get("steps") != state.steps:
             return
         steps_left = max(0, task.settings.max_steps - state.steps)
-        left = steps_left * state.wall_seconds / state.steps
-        purpose = task.purpose and f", for {task.purpose}"
+        left = steps_left * state.wall_seconds / max(1, state.steps)
         say(
-            f"{state.steps:>9,} steps  return {last['return_mean']:8.1f} ± {last['return_std']:6.1f}"
-            f"  best score {state.best_score:8.1f}  {state.wall_seconds / 60:6.1f} min, "
-            f"at most {left / 60:.0f} left{purpose}"
+            f"{state.steps:>9,} steps  {_found(last)}  best score {state.best_score:8.6g}"
+            f"  {state.wall_seconds / 60:6.1f} min, at most {left / 60:.0f} left"
         )
 
     return tell
+
+
+def _found(entry: dict[str, Any]) -> str:
+    """Return the evaluations of a run's present and averaged weights."""
+    present, average = entry["present"], entry.get("average", entry["present"])
+    if "median" in present:
+        return (
+            f"{present['median']:.3f} of the base (median), lowest {present['min']:.3f}; "
+            f"averaged {average['median']:.3f}, {average['min']:.3f}"
+        )
+    return (
+        f"return {present['return_mean']:8.1f} ± {present['return_std']:6.1f}"
+        f"  averaged {average['return_mean']:8.1f}"
+    )
 
 
 # An expert with less than this share of its base's return may have trained badly by chance.
@@ -190,8 +195,6 @@ _WEAK = 0.5
 def describe_trained(outcome: Trained, plan: Plan) -> tuple[str, ...]:
     """Return what to print of a variant that was trained or left alone."""
     variant = outcome.variant
-    if outcome.measured:
-        return "measured", f"{variant}: {_ladder(outcome.record)}"
     if outcome.created:
         lines = ["trained", f"{variant}: {_made(outcome.record)}"]
     elif outcome.tried:
@@ -219,21 +222,14 @@ def describe_universal(outcome: Trained) -> tuple[str, ...]:
     )
 
 
-def _ladder(record: dict[str, Any]) -> str:
-    """Return the number of rungs of a record, and the return of medium as a share of the expert's."""
-    rungs, expert_return = record["ladder"], mean_return(record)
-    if not rungs:
-        return "no rungs"
-    share = mean_return(medium_rung(rungs, expert_return)) / expert_return
-    return f"{counted(len(rungs), 'rung')}, medium at {share:.2f} of the expert's return"
-
-
 def _made(record: dict[str, Any]) -> str:
     """Return the return of a record's policy, and the training that made it."""
     evaluation = record["evaluation"]
+    told = f"return {evaluation['return_mean']:.1f} ± {evaluation['return_std']:.1f}"
+    if "steps" not in record:
+        return f"{told}, the {record['start']}"
     return (
-        f"return {evaluation['return_mean']:.1f} ± {evaluation['return_std']:.1f} "
-        f"over {evaluation['episodes']} episodes, after {record['steps']:,} steps from "
+        f"{told} over {evaluation['episodes']} episodes, after {record['steps']:,} steps from "
         f"{record['start']}, {record['wall_seconds'] / 60:.1f} min"
     )
 
@@ -262,7 +258,7 @@ def policies(
         robots = ROBOTS if robot is None else (robot,)
         lines = standings(robots, bases + [each for each in CATEGORIES if category in (None, each)])
         if as_json:
-            print_json([vars(line) for line in lines])
+            print_json([line._asdict() for line in lines])
             return
         print_table(COLUMNS, [line.cells() for line in lines], numeric=COLUMNS[2:])
         out.print(

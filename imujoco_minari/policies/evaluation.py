@@ -10,16 +10,16 @@ from typing import Any
 import gymnasium as gym
 
 from imujoco_minari.errors import VariantError
-from imujoco_minari.policies import Array
 from imujoco_minari.policies.aggregates import bootstrap_interval, interquartile_mean
-from imujoco_minari.policies.measuring import acts_deterministically, measure, summary
+from imujoco_minari.policies.doors import Array
+from imujoco_minari.policies.measuring import Episodes, measure
 from imujoco_minari.policies.normalized import normalized_score
 from imujoco_minari.variants import Variant
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Evaluation:
-    """The results of E episodes of a policy.
+class Evaluation(Episodes):
+    """The results of E episodes of a policy, with statistics and normalised scores.
 
     Attributes:
         returns: (E,) float64; the undiscounted returns.
@@ -28,12 +28,6 @@ class Evaluation:
         seed: base seed of the episodes.
         deterministic: whether the policy acted deterministically; None where the policy does not say.
     """
-
-    returns: Array
-    lengths: Array
-    variants: tuple[str, ...]
-    seed: int = 0
-    deterministic: bool | None = None
 
     def __repr__(self) -> str:
         low, high = self.return_interval
@@ -113,10 +107,6 @@ class Evaluation:
         """95 % bootstrap interval of the interquartile mean of the normalised scores."""
         return bootstrap_interval(self.scores)
 
-    def asdict(self) -> dict[str, Any]:
-        """Return a summary of the returns for JSON, as records of policies and metadata hold it."""
-        return summary(self.returns, self.lengths, self.seed, self.deterministic)
-
 
 def evaluate(
     env: Variant | str | gym.Env[Any, Any],
@@ -151,5 +141,4 @@ def evaluate(
         >>> evaluation.returns.shape, evaluation.score_mean  # doctest: +SKIP
         ((10,), 1.0)
     """
-    measured = measure(env, policy, episodes, seed, on_episode)
-    return Evaluation(*measured, seed, acts_deterministically(policy))
+    return Evaluation(**vars(measure(env, policy, episodes, seed, on_episode)))

@@ -68,7 +68,13 @@ def expert_record(variant: Variant, folder: Path | None = None) -> Mapping[str, 
     Raises:
         PolicyError: if the record cannot be read.
     """
-    return own_record(variant, folder) or _folded_record(variant, folder)
+    record = dict(own_record(variant, folder)) or _folded_record(variant, folder)
+    kept = _measured_file(variant)
+    if record and kept.is_file():
+        measured = _read_record(kept)
+        if measured.get("weights_sha256") == record.get("weights_sha256"):
+            record |= measured
+    return record
 
 
 def own_record(variant: Variant, folder: Path | None = None) -> Mapping[str, Any]:
@@ -104,12 +110,12 @@ def universal_policy(robot: str, folder: Path | None = None) -> UniversalPolicy 
     return policy
 
 
-def _folded_record(variant: Variant, folder: Path | None = None) -> Mapping[str, Any]:
+def _folded_record(variant: Variant, folder: Path | None = None) -> dict[str, Any]:
     universal = universal_policy(variant.robot, folder)
     if universal is None or type(variant) is not Variant:
         return {}
     actor = universal.fold(variant)
-    record = {
+    record: dict[str, Any] = {
         "variant": str(variant),
         "algorithm": actor.algorithm,
         "start": FOLDED,
@@ -118,14 +124,11 @@ def _folded_record(variant: Variant, folder: Path | None = None) -> Mapping[str,
         "weights_sha256": actor.sha256,
     }
     record |= universal.record["measured"].get(str(variant), {})
-    kept = _measured_file(variant)
-    if kept.is_file() and (measured := _read_record(kept)).get("weights_sha256") == actor.sha256:
-        record |= measured
     return record
 
 
 def keep_measured(variant: Variant, measured: Mapping[str, Any]) -> None:
-    """Keep the evaluations of a folded expert, beside the user's policies, for :func:`expert_record`."""
+    """Keep the evaluations of an expert, beside the user's policies, for :func:`expert_record`."""
     path = _measured_file(variant)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_json(path, dict(measured))
@@ -151,14 +154,11 @@ def expert_variants(folder: Path | None = None) -> tuple[Variant, ...]:
     Args:
         folder: folder to search before the package's; None means :func:`policies_folder`.
     """
-    names = {path.stem for place in _places(folder) if place.is_dir() for path in place.glob("*-*.json")}
     found = []
-    for name in names:
-        if name.endswith(".agent"):
-            continue
+    for name in policy_files("*-*.json", folder):
         # The user may have policies of robots whose pages are not loaded now.
         with suppress(VariantError):
-            found.append(Variant.parse(name))
+            found.append(Variant.parse(name.removesuffix(".json")))
     return tuple(sorted(found))
 
 
@@ -186,6 +186,11 @@ def shipped_folder() -> Path:
 def _places(folder: Path | None) -> tuple[Path, Path]:
     """Return the folders to search for policies, in order."""
     return (policies_folder() if folder is None else folder), shipped_folder()
+
+
+def policy_files(pattern: str, folder: Path | None = None) -> set[str]:
+    """Return the names of the files in ``folder`` and in the package that fit a pattern."""
+    return {path.name for place in _places(folder) if place.is_dir() for path in place.glob(pattern)}
 
 
 def find_policy_file(name: str, folder: Path | None = None) -> Path | None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -18,18 +19,36 @@ from imujoco_minari.policies.rollouts import episode_seed, roll_out_together
 from imujoco_minari.variants import Variant
 
 
-class Measured(NamedTuple):
-    """The results of E episodes.
+@dataclass(frozen=True, eq=False, repr=False)
+class Episodes:
+    """The results of E episodes of a policy.
 
     Attributes:
         returns: (E,) float64; the undiscounted returns.
         lengths: (E,) int64; the numbers of steps.
         variants: the id of each episode's variant; empty for an environment that is no variant.
+        seed: base seed of the episodes.
+        deterministic: whether the policy acted deterministically; None where the policy does not say.
     """
 
     returns: Array
     lengths: Array
     variants: tuple[str, ...]
+    seed: int = 0
+    deterministic: bool | None = None
+
+    def asdict(self) -> dict[str, Any]:
+        """Return a summary of the returns for JSON, as records of policies and metadata hold it."""
+        return {
+            "episodes": len(self.returns),
+            "seed": self.seed,
+            "deterministic": self.deterministic,
+            "return_mean": float(self.returns.mean()),
+            "return_std": float(self.returns.std()),
+            "return_min": float(self.returns.min()),
+            "return_max": float(self.returns.max()),
+            "length_mean": float(self.lengths.mean()),
+        }
 
 
 def measure(
@@ -38,7 +57,7 @@ def measure(
     episodes: int,
     seed: int,
     on_episode: Callable[[], None] | None = None,
-) -> Measured:
+) -> Episodes:
     """Run seeded episodes of a policy; the arguments are those of ``evaluate``.
 
     Raises:
@@ -56,27 +75,9 @@ def measure(
             variants[number] = _variant_id(envs[lane])
             if on_episode is not None:
                 on_episode()
-    return Measured(returns, lengths, tuple(variants))
-
-
-def summary(returns: Array, lengths: Array, seed: int, deterministic: bool | None) -> dict[str, Any]:
-    """Return a summary of returns for JSON, as records of policies and metadata hold it."""
-    return {
-        "episodes": len(returns),
-        "seed": seed,
-        "deterministic": deterministic,
-        "return_mean": float(returns.mean()),
-        "return_std": float(returns.std()),
-        "return_min": float(returns.min()),
-        "return_max": float(returns.max()),
-        "length_mean": float(lengths.mean()),
-    }
-
-
-def acts_deterministically(policy: Any) -> bool | None:
-    """Return whether a policy says that it acts deterministically; None where it does not say."""
     deterministic = getattr(policy, "deterministic", None)
-    return deterministic if isinstance(deterministic, bool) else None
+    told = deterministic if isinstance(deterministic, bool) else None
+    return Episodes(returns, lengths, tuple(variants), seed, told)
 
 
 @contextmanager

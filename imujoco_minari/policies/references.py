@@ -9,11 +9,12 @@ from typing import Any
 from imujoco_minari.errors import PolicyNotFoundError
 from imujoco_minari.policies.actors import Actor, Policy
 from imujoco_minari.policies.experts import FOLDED, expert_actor, expert_record, keep_measured
-from imujoco_minari.policies.measuring import measure, summary
+from imujoco_minari.policies.measuring import measure
 from imujoco_minari.policies.rungs import (
     LADDER_EPISODES,
     LADDER_SEED,
     Rung,
+    has_medium,
     mean_return,
     read_rung,
     rungs_of_robot,
@@ -46,30 +47,27 @@ def measured_record(variant: Variant) -> Mapping[str, Any]:
 def ladder(variant: Variant) -> Sequence[Rung]:
     """Return the rungs of a variant's ladder, the lowest return first.
 
-    An own expert's record has its ladder. The ladder of a folded expert consists of all rungs that the robot
-    has. They are evaluated on the variant at the first need, and the result is kept beside the user's
-    policies.
+    A record may have a ladder. If it has no rung for ``medium``, all rungs of the robot are added: they are
+    evaluated on the variant at the first need, and the result is kept beside the user's policies.
 
     Raises:
         PolicyNotFoundError: if the variant has no expert, or its robot has no rungs.
     """
     record = measured_record(variant)
-    rungs = record.get("ladder", [])
-    if not rungs and record.get("start") == FOLDED:
-        for rung in rungs_of_robot(variant.base):
+    rungs = list(record.get("ladder", []))
+    known = [(rung.get("run"), rung["steps"]) for rung in rungs]
+    missing = [rung for rung in rungs_of_robot(variant.base) if (rung.get("run"), rung["steps"]) not in known]
+    if record and missing and not has_medium(record):
+        for rung in missing:
             actor = read_rung(variant, rung)
             rungs.append(rung | {"evaluation": _evaluation(variant, actor, LADDER_SEED, LADDER_EPISODES)})
-        keep_measured(variant, evaluations_of(record) | {"ladder": rungs})
+        evaluated = {name: record[name] for name in ("weights_sha256", "evaluation", "random")}
+        keep_measured(variant, evaluated | {"ladder": rungs})
     if not rungs:
         raise PolicyNotFoundError(
-            f"no ladder of policies exists for {variant}: `imujoco train {variant}` measures one"
+            f"no ladder of policies exists for {variant}: `imujoco train {variant.base}` makes one"
         )
     return sorted(rungs, key=mean_return)
-
-
-def evaluations_of(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the part of a record that :func:`evaluations` makes."""
-    return {name: record[name] for name in ("weights_sha256", "evaluation", "random")}
 
 
 def weakness_of(variant: Variant) -> str:
@@ -126,5 +124,4 @@ def random_evaluation(variant: Variant) -> dict[str, Any]:
 
 
 def _evaluation(variant: Variant, policy: Policy, seed: int, episodes: int = EPISODES) -> dict[str, Any]:
-    returns, lengths, _ = measure(variant, policy, episodes, seed)
-    return summary(returns, lengths, seed, policy.deterministic)
+    return measure(variant, policy, episodes, seed).asdict()

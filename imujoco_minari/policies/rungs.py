@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 from imujoco_minari.errors import PolicyNotFoundError
 from imujoco_minari.policies.actors import Actor
-from imujoco_minari.policies.experts import expert_variants, find_policy_file, own_record
+from imujoco_minari.policies.experts import find_policy_file, own_record, policy_files
 from imujoco_minari.policies.files import read_actor
 from imujoco_minari.variants import Variant
 
@@ -30,26 +30,13 @@ RANKED_TOLERANCE = 0.1
 LADDER_EPISODES, LADDER_SEED = 10, 1_000_004
 
 
-def rungs_of_variants(robot: str, folder: Path | None = None) -> list[dict[str, Any]]:
-    """Return the ``run`` and the ``steps`` of the rungs that runs on a robot's variants saved.
-
-    Args:
-        robot: the robot.
-        folder: folder to search before the package's; None for the user's policies.
-    """
-    return [
-        {"run": str(variant), "steps": rung["steps"]}
-        for variant in expert_variants(folder)
-        if variant.robot == robot
-        for rung in own_record(variant, folder).get("ladder", ())
-        if rung.get("run") == str(variant)
-    ]
-
-
 def rungs_of_robot(base: Variant) -> list[dict[str, Any]]:
     """Return the ``steps`` of all rungs of a robot, and the ``run`` of those that no base's run saved."""
-    own = [{"steps": rung["steps"]} for rung in own_record(base).get("ladder", ())]
-    return own + rungs_of_variants(base.robot)
+    rungs: list[dict[str, Any]] = []
+    for name in policy_files(f"{base.robot}-*.rung-*.safetensors"):
+        run, _, steps = name.removesuffix(".safetensors").partition(".rung-")
+        rungs.append(({} if run == str(base) else {"run": run}) | {"steps": int(steps)})
+    return sorted(rungs, key=lambda rung: (rung.get("run", ""), rung["steps"]))
 
 
 def medium_rung(rungs: Sequence[_Rung], expert_return: float) -> _Rung:

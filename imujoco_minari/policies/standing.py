@@ -6,10 +6,9 @@ The share of an expert is its mean return divided by the mean return of its base
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from math import fsum
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS, Variant, catalogue
 
 # The share that an expert should reach.
 BAR = 0.95
-# Headings of a table of standings.
+# Headings of a table of standings, for the fields of each.
 COLUMNS = (
     "robot",
     "category",
@@ -34,21 +33,12 @@ COLUMNS = (
 )
 
 
-@dataclass(frozen=True)
-class Standing:
-    """The experts of one robot's category.
+class Standing(NamedTuple):
+    """The experts of one robot's category, or of its base.
 
-    Attributes:
-        robot: the robot.
-        category: the category, or ``base``.
-        policies: number of experts that exist.
-        of: number of variants in the catalogue.
-        median: median of the shares; None without experts.
-        minimum: smallest share; None without experts.
-        below: number of experts whose share is below :data:`BAR`.
-        medium: number of experts whose tier ``medium`` has a third to a half of their return.
-        ranked: number of experts whose tier ``ranked`` has about 0.8, 0.6, 0.4 and 0.2 of their return.
-        hours: core-hours of training, evaluations included.
+    ``policies`` of ``of`` variants have an expert. ``median`` and ``minimum`` are of their shares, None
+    without experts; ``below`` counts those below :data:`BAR`. ``medium`` and ``ranked`` count the experts
+    whose rungs have the returns that these tiers need. ``hours`` are the core-hours of training.
     """
 
     robot: str
@@ -65,8 +55,8 @@ class Standing:
     def cells(self) -> list[str]:
         """Return the cells of the table's row, in the order of :data:`COLUMNS`."""
         shares = ("-" if share is None else f"{share:.2f}" for share in (self.median, self.minimum))
-        first, last = (self.policies, self.of), (self.below, self.medium, self.ranked)
-        return [self.robot, self.category, *map(str, first), *shares, *map(str, last), f"{self.hours:.1f}"]
+        robot, category, policies, of, _, _, *counts, hours = self
+        return [str(cell) for cell in (robot, category, policies, of, *shares, *counts, f"{hours:.1f}")]
 
 
 def standings(

@@ -12,14 +12,14 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from imujoco_minari.envs.mjcf import canonical_mjcf, mjcf_sha256
 from imujoco_minari.errors import JobError, PolicyNotFoundError, TransferError
 from imujoco_minari.parallel import run_jobs
-from imujoco_minari.policies import Policy, expert_actor, expert_variants
+from imujoco_minari.policies import Actor, Policy, expert_actor, expert_variants
 from imujoco_minari.policies.evaluation import Evaluation, evaluate
 from imujoco_minari.short_repr import short_repr
 from imujoco_minari.storage.files import write_text
@@ -62,8 +62,7 @@ class Transfer:
         ]
 
 
-@dataclass(frozen=True)
-class _Cell:
+class _Cell(NamedTuple):
     policy_name: str
     policy: Policy
     variant: Variant
@@ -74,6 +73,16 @@ class _Cell:
         """Return everything that decides the result as text. The state file stores it with the result."""
         model = mjcf_sha256(canonical_mjcf(self.variant))
         return f"{self.policy.sha256} {self.policy.deterministic} {model} {self.episodes} {self.seed}"
+
+    def evaluate(self) -> Evaluation:
+        """Evaluate the policy on the variant."""
+        return evaluate(self.variant, self.policy, episodes=self.episodes, seed=self.seed)
+
+    def evaluation(self, row: Mapping[str, Any]) -> Evaluation:
+        """Return the result from its row of the state file."""
+        returns, lengths = np.array(row["returns"]), np.array(row["lengths"])
+        variants = (str(self.variant),) * self.episodes
+        return Evaluation(returns, lengths, variants, self.seed, self.policy.deterministic)
 
 
 def expert_policies(robot: str, category: str | None = None) -> dict[str, Policy]:
@@ -131,9 +140,14 @@ def evaluate_transfer(
         TransferError: if the state file has another format, or a process was lost.
         StorageError: if the state file cannot be written.
     """
-    wanted = [
-        _Cell(name, _for_robot(policy, variant.robot), variant, episodes, seed)
+    robot = variants[0].robot
+    fitting = {
+        name: policy.for_robot(robot) if isinstance(policy, Actor) else policy
         for name, policy in policies.items()
+    }
+    wanted = [
+        _Cell(name, policy, variant, episodes, seed)
+        for name, policy in fitting.items()
         for variant in variants
     ]
     known = _read_state(state)
@@ -141,11 +155,11 @@ def evaluate_transfer(
     for cell in wanted:
         row = known.get(cell.policy_name, {}).get(str(cell.variant), {})
         if row.get("key") == cell.key():
-            cells[cell.policy_name, cell.variant] = _evaluation(cell, row)
+            cells[cell.policy_name, cell.variant] = cell.evaluation(row)
             on_cell()
         else:
             missing.append(cell)
-    for number, result in run_jobs(_evaluate_cell, missing, jobs=jobs):
+    for number, result in run_jobs(_Cell.evaluate, missing, jobs=jobs):
         cell = missing[number]
         if isinstance(result, JobError):
             raise TransferError(f"{cell.policy_name} on {cell.variant}: {result}")
@@ -176,25 +190,6 @@ def write_csv(transfer: Transfer, path: Path) -> None:
             numbers = [evaluation[name] for name in COLUMNS[3:]]
             writer.writerow([policy, str(variant), variant.category, *numbers])
     write_text(path, text.getvalue())
-
-
-def _evaluate_cell(cell: _Cell) -> Evaluation:
-    return evaluate(cell.variant, cell.policy, episodes=cell.episodes, seed=cell.seed)
-
-
-def _evaluation(cell: _Cell, row: Mapping[str, Any]) -> Evaluation:
-    """Return the result of a cell from its row of the state file."""
-    return Evaluation(
-        np.array(row["returns"]),
-        np.array(row["lengths"]),
-        (str(cell.variant),) * cell.episodes,
-        cell.seed,
-        cell.policy.deterministic,
-    )
-
-
-def _for_robot(policy: Any, robot: str) -> Any:
-    return policy.for_robot(robot) if hasattr(policy, "for_robot") else policy
 
 
 def _read_state(state: Path) -> dict[str, dict[str, Any]]:

@@ -167,6 +167,20 @@ def read_universal(weights: Path) -> UniversalPolicy:
     return _read(weights, path, weights.stat().st_mtime_ns, path.stat().st_mtime_ns)
 
 
+def universal_of_record(actor: Actor, record: Mapping[str, Any]) -> UniversalPolicy:
+    """Return the universal policy with a record, which states the robot and the ranges of the parameters.
+
+    Raises:
+        ValueError: if a range is not one.
+        PolicyError: if the actor does not fit the robot.
+    """
+    ranges = [record["ranges"][name] for name in parameters(record["robot"])]
+    low, high = np.array(ranges, float).reshape(len(ranges), 2).T / 100
+    if not (np.isfinite([low, high]).all() and (low <= high).all()):
+        raise ValueError("a range must be two finite numbers, the lower one first")
+    return UniversalPolicy(record["robot"], actor, low, high, record)
+
+
 @lru_cache(maxsize=8)
 def _read(weights: Path, path: Path, *changed: int) -> UniversalPolicy:
     try:
@@ -174,17 +188,13 @@ def _read(weights: Path, path: Path, *changed: int) -> UniversalPolicy:
             if (size := file.stat().st_size) > MAX_SAFETENSORS_BYTES:
                 raise PolicyError(f"{file.name} has {size} bytes; the limit is {MAX_SAFETENSORS_BYTES}")
         record = json.loads(path.read_text("utf-8"))
-        ranges = record["ranges"]
-        robot, names = record["robot"], parameters(record["robot"])
-        low, high = np.array([ranges[name] for name in names], float).reshape(len(names), 2).T / 100
-        if not (np.isfinite([low, high]).all() and (low <= high).all()):
-            raise ValueError("a range must be two finite numbers, the lower one first")
         measured = record["measured"]
         if not isinstance(measured, dict) or not isinstance(record["algorithm"], str):
             raise ValueError("measured must be a table and algorithm a text")
         if not all(isinstance(each, dict) for each in measured.values()):
             raise ValueError("measured must be a table of tables")
         actor = actor_of_bytes(weights.read_bytes(), weights.name, record["algorithm"], True, {})
+        return universal_of_record(actor, record)
     except (
         ValueError,
         KeyError,
@@ -197,4 +207,3 @@ def _read(weights: Path, path: Path, *changed: int) -> UniversalPolicy:
     ) as error:
         reason = clipped(str(error) if isinstance(error, ImujocoError) else repr(error))
         raise PolicyError(f"{path}: not the record of a universal policy: {reason}") from None
-    return UniversalPolicy(robot, actor, low, high, record)

@@ -128,6 +128,8 @@ def record_training(
         TrainingError: if the task has a target and does not reach it.
     """
     dataset_id = task.variant.dataset_id(tier)
+    # One lane, so that the episodes are in the order of the run.
+    task = replace(task, settings=replace(task.settings, lanes=1))
     asked = {"seed": task.seed, "hyperparameters": task.settings.asdict()}
     if found := find_published(dataset_id, asked, force=force):
         return found

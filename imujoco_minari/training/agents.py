@@ -1,4 +1,4 @@
-"""A complete SBX agent (actor, critics, targets, entropy coefficient, optimisers) as plain arrays.
+"""A complete SBX agent (actor, critics, entropy coefficient, optimisers) as plain arrays.
 
 Agents are stored as safetensors, never as pickles. The names are paths in the agent's state, so any part can
 be read without SBX. The actor is returned under Stable-Baselines3's names.
@@ -6,11 +6,12 @@ be read without SBX. The actor is returned under Stable-Baselines3's names.
 
 from __future__ import annotations
 
-import gc
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 from safetensors.numpy import load_file, save
 
@@ -20,6 +21,9 @@ from imujoco_minari.storage.files import whole_file
 from imujoco_minari.training.hyperparameters import Hyperparameters
 
 ALGORITHM = "CrossQ"
+# The parts of an agent that a new run starts from. The optimisers begin anew.
+CRITICS = ("qf/params", "qf/batch_stats", "entropy/params")
+STARTING = ("actor/params/Dense", *CRITICS)
 _LAYERS = {
     "Dense_0": "latent_pi.0",
     "Dense_1": "latent_pi.2",
@@ -28,13 +32,27 @@ _LAYERS = {
 }
 
 
-def make_agent(env: Any, settings: Hyperparameters, seed: int, device: str | None = None) -> Any:
-    """Return a new ``sbx.CrossQ`` on ``env`` (a Gymnasium environment or a vectorised one).
+_FUNCTIONS: dict[tuple[Any, ...], dict[str, dict[str, Any]]] = {}
+
+
+class _Spaces(gym.Env[Any, Any]):
+    """An environment that has spaces only, because an agent is made for one."""
+
+    def __init__(self, inputs: int, actions: int) -> None:
+        self.observation_space = gym.spaces.Box(-np.inf, np.inf, (inputs,))
+        self.action_space = gym.spaces.Box(-1, 1, (actions,))
+
+
+def make_agent(
+    inputs: int, actions: int, settings: Hyperparameters, seed: int, device: str | None = None
+) -> Any:
+    """Return a new ``sbx.CrossQ``.
 
     Args:
-        env: the environment to train in.
+        inputs: length of an input: observation and context.
+        actions: length of an action, whose entries are in [-1, 1].
         settings: the hyperparameters.
-        seed: seed of the weights and of all sampling.
+        seed: seed of the weights and of the updates.
         device: device of the updates: ``cpu``, ``gpu``, or None for JAX's default.
 
     Raises:
@@ -43,29 +61,42 @@ def make_agent(env: Any, settings: Hyperparameters, seed: int, device: str | Non
     """
     import_jax()
     try:
+        import optax
         from sbx import CrossQ
     except ImportError:
         raise missing_dependency("sbx-rl", "train", "training") from None
     if device is not None:
         _set_default_device(device)
-    return CrossQ(
+    # The rate is part of the optimisers' state, so a new rate compiles nothing again.
+    adam = optax.inject_hyperparams(optax.adam)
+    agent = CrossQ(
         "MlpPolicy",
-        env,
+        _Spaces(inputs, actions),
         learning_rate=settings.learning_rate,
-        learning_starts=0,
-        batch_size=settings.batch_size,
         gamma=settings.gamma,
-        train_freq=settings.steps_per_call,
-        gradient_steps=settings.updates_per_call,
-        policy_delay=settings.policy_delay,
         policy_kwargs={
             # Without normalisation the actor is SAC's and consists of its weights alone.
             "batch_norm_actor": False,
             "net_arch": {"pi": [256, 256], "qf": [settings.critic_width] * 2},
+            "optimizer_class": adam,
+            "optimizer_kwargs": {"b1": settings.momentum},
         },
-        buffer_size=min(settings.max_steps + settings.evaluate_every, 1_000_000),
+        # The transitions are in a buffer of our own.
+        buffer_size=1,
         seed=seed,
     )
+    entropy, optimiser = agent.ent_coef_state, adam(learning_rate=settings.learning_rate)
+    agent.ent_coef_state = entropy.replace(tx=optimiser, opt_state=optimiser.init(entropy.params))
+    # Compiled programs are those of these functions, so equal agents share them: no second one compiles.
+    key = (inputs, actions, settings.critic_width, settings.momentum)
+    functions = _FUNCTIONS.setdefault(
+        key, {name: {"apply_fn": s.apply_fn, "tx": s.tx} for name, s in _train_states(agent).items()}
+    )
+    policy = agent.policy
+    policy.actor_state = policy.actor_state.replace(**functions["actor"])
+    policy.qf_state = policy.qf_state.replace(**functions["qf"])
+    agent.ent_coef_state = agent.ent_coef_state.replace(**functions["entropy"])
+    return agent
 
 
 def import_jax() -> Any:
@@ -101,30 +132,27 @@ def _set_default_device(device: str) -> None:
         ) from None
 
 
-def forget_compiled() -> None:
-    """Free the compiled programs of closed agents, 75 MB each. A sweep makes hundreds of agents."""
-    import jax
-
-    gc.collect()
-    jax.clear_caches()
-
-
 def agent_arrays(agent: Any) -> dict[str, Array]:
     """Return the complete state of an agent as arrays, keyed by their paths in it."""
     from flax.serialization import to_state_dict
     from flax.traverse_util import flatten_dict
 
     flat = flatten_dict({name: to_state_dict(state) for name, state in _train_states(agent).items()}, sep="/")
-    arrays = {path: np.array(value) for path, value in flat.items()}
-    return arrays | {"key": np.array(agent.key), "policy_key": np.array(agent.policy.key)}
+    return {path: np.array(value) for path, value in flat.items()} | {"key": np.array(agent.key)}
 
 
-def restore_agent(agent: Any, arrays: dict[str, Array]) -> None:
+def restore_agent(agent: Any, arrays: Mapping[str, Array], parts: tuple[str, ...] = ("",)) -> None:
     """Restore the state that :func:`agent_arrays` returned into ``agent``.
+
+    Args:
+        agent: the agent.
+        arrays: the state.
+        parts: how the paths to restore begin: all of them, or :data:`STARTING`.
 
     Raises:
         PolicyError: if the arrays have other names or shapes than the agent's.
     """
+    import jax.numpy as jnp
     from flax.serialization import from_state_dict, to_state_dict
     from flax.traverse_util import flatten_dict, unflatten_dict
 
@@ -133,6 +161,8 @@ def restore_agent(agent: Any, arrays: dict[str, Array]) -> None:
         # Empty parts have no arrays but belong to the state.
         own = flatten_dict(to_state_dict(state), sep="/", keep_empty_nodes=True)
         for path in flatten_dict(to_state_dict(state), sep="/"):
+            if not f"{name}/{path}".startswith(parts):
+                continue
             value = arrays.get(f"{name}/{path}")
             if value is None or value.shape != np.shape(own[path]):
                 raise PolicyError(f"the stored agent does not fit: {name}/{path}")
@@ -140,13 +170,11 @@ def restore_agent(agent: Any, arrays: dict[str, Array]) -> None:
         restored[name] = from_state_dict(state, unflatten_dict(own, sep="/"))
     agent.policy.actor_state, agent.policy.qf_state = restored["actor"], restored["qf"]
     agent.ent_coef_state = restored["entropy"]
-    if "key" in arrays:
-        import jax.numpy as jnp
-
-        agent.key, agent.policy.key = jnp.asarray(arrays["key"]), jnp.asarray(arrays["policy_key"])
+    if "key".startswith(parts):
+        agent.key = jnp.asarray(arrays["key"])
 
 
-def save_arrays(path: Path, arrays: dict[str, Array]) -> None:
+def save_arrays(path: Path, arrays: Mapping[str, Array]) -> None:
     """Write arrays as safetensors. At every moment ``path`` holds either the old arrays or the new."""
     # ascontiguousarray turns a scalar into a vector. save_file would set permissions that others cannot read.
     contiguous = {name: np.ascontiguousarray(array).reshape(array.shape) for name, array in arrays.items()}
@@ -166,22 +194,31 @@ def load_arrays(path: Path) -> dict[str, Array]:
         raise PolicyError(f"{path}: cannot be read: {error}") from None
 
 
-def actor_arrays(agent: Any) -> dict[str, Array]:
-    """Return an agent's actor under Stable-Baselines3's names, as float16, the precision that is stored."""
-    return agent_actor(agent_arrays(agent))
+def actor_weights(agent: Any) -> dict[str, Array]:
+    """Return an agent's actor under Stable-Baselines3's names, float32."""
+    params, weights = agent.policy.actor_state.params, {}
+    for ours, theirs in _LAYERS.items():
+        weights[f"{theirs}.weight"] = np.asarray(params[ours]["kernel"]).T
+        weights[f"{theirs}.bias"] = np.asarray(params[ours]["bias"])
+    return weights
 
 
-def agent_actor(arrays: dict[str, Array]) -> dict[str, Array]:
-    """Return the actor from the arrays of :func:`agent_arrays`, in the form of :func:`actor_arrays`."""
+def as_stored(weights: Mapping[str, Array]) -> dict[str, Array]:
+    """Return weights as float16, the precision that is stored."""
+    return {name: np.asarray(array).astype(np.float16) for name, array in weights.items()}
+
+
+def agent_actor(arrays: Mapping[str, Array]) -> dict[str, Array]:
+    """Return the actor from the arrays of :func:`agent_arrays`, as it is stored."""
     actor: dict[str, Array] = {}
     for ours, theirs in _LAYERS.items():
-        actor[f"{theirs}.weight"] = arrays[f"actor/params/{ours}/kernel"].astype(np.float16).T
-        actor[f"{theirs}.bias"] = arrays[f"actor/params/{ours}/bias"].astype(np.float16)
-    return actor
+        actor[f"{theirs}.weight"] = arrays[f"actor/params/{ours}/kernel"].T
+        actor[f"{theirs}.bias"] = arrays[f"actor/params/{ours}/bias"]
+    return as_stored(actor)
 
 
-def replace_actor(arrays: dict[str, Array], actor: dict[str, Array]) -> dict[str, Array]:
-    """Return the arrays of :func:`agent_arrays` with another actor, in the form of :func:`actor_arrays`."""
+def replace_actor(arrays: Mapping[str, Array], actor: Mapping[str, Array]) -> dict[str, Array]:
+    """Return the arrays of :func:`agent_arrays` with another actor, under Stable-Baselines3's names."""
     replaced = dict(arrays)
     for ours, theirs in _LAYERS.items():
         replaced[f"actor/params/{ours}/kernel"] = actor[f"{theirs}.weight"].astype(np.float32).T
@@ -189,8 +226,8 @@ def replace_actor(arrays: dict[str, Array], actor: dict[str, Array]) -> dict[str
     return replaced
 
 
-def actor_of(arrays: dict[str, Array], robot: str) -> Actor:
-    """Return the deterministic policy of a robot with the weights of :func:`actor_arrays`."""
+def actor_of(arrays: Mapping[str, Array], robot: str) -> Actor:
+    """Return the deterministic policy of a robot with stored weights."""
     weights = {name: array.astype(np.float32) for name, array in arrays.items()}
     return Actor(weights, ALGORITHM).for_robot(robot)
 

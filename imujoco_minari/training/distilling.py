@@ -15,12 +15,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from imujoco_minari.envs.registration import make
 from imujoco_minari.policies import Actor, Array
 from imujoco_minari.policies.evaluation import evaluate
-from imujoco_minari.policies.rollouts import episode_seed
-from imujoco_minari.policies.universal import FIRST_WEIGHT, whole_context
-from imujoco_minari.training.agents import import_jax
+from imujoco_minari.policies.universal import FIRST_WEIGHT
+from imujoco_minari.training.agents import as_stored, import_jax
+from imujoco_minari.training.lanes import Lanes
 from imujoco_minari.variants import Variant
 
 # Seed of the episodes that choose teachers.
@@ -104,36 +103,6 @@ def best_teacher(variant: Variant, candidates: dict[str, Actor], base_return: fl
     return Lesson(variant, candidates[names[0]], names[0], returns[names[0]] / base_return)
 
 
-class Lanes:
-    """One environment for each of several variants, stepped together without end."""
-
-    def __init__(self, variants: Sequence[Variant], seed: int) -> None:
-        self._envs = [make(variant, disable_env_checker=True) for variant in variants]
-        self._seed, self._episodes = seed, 0
-        self.observations = np.array([self._reset(env) for env in self._envs])
-
-    def _reset(self, env: Any) -> Any:
-        self._episodes += 1
-        return env.reset(seed=episode_seed(self._seed, self._episodes))[0]
-
-    def step(self, actions: Array) -> Array:
-        """Act in every environment and return the rewards. An environment that has ended is reset."""
-        rewards = np.empty(len(self._envs))
-        for lane, (env, action) in enumerate(zip(self._envs, actions, strict=True)):
-            observation, rewards[lane], terminated, truncated, _ = env.step(action)
-            self.observations[lane] = self._reset(env) if terminated or truncated else observation
-        return rewards
-
-    def restart(self) -> None:
-        """Reset every environment."""
-        self.observations = np.array([self._reset(env) for env in self._envs])
-
-    def close(self) -> None:
-        """Close the environments."""
-        for env in self._envs:
-            env.close()
-
-
 def distil(
     lessons: Sequence[Lesson],
     start: Actor,
@@ -153,61 +122,44 @@ def distil(
         Arrays under Stable-Baselines3's names; the first layer takes observation and context.
     """
     begin, rng = time.monotonic(), np.random.default_rng(settings.seed)
-    contexts = np.array([whole_context(lesson.variant) for lesson in lessons], np.float32)
-    teachers = [lesson.teacher for lesson in lessons]
-    bound = teachers[0].bound
-    student = Student(start, contexts.shape[1], teachers[0].observation_size, settings)
-    lanes, memory = Lanes([lesson.variant for lesson in lessons], settings.seed), _Memory()
+    variants, teachers = [lesson.variant for lesson in lessons], [lesson.teacher for lesson in lessons]
+    size = teachers[0].observation_size
+    lanes = Lanes(
+        variants[0].robot, len(lessons), lambda lane, episode: variants[lane], settings.seed, told=True
+    )
+    student = Student(start, lanes.contexts.shape[1], size, settings)
+    # The inputs of each recording, and the labels of the teachers.
+    seen: list[Array] = []
+    labels: list[Array] = []
 
     def record(act: Callable[[Array], Array]) -> Array:
         """Act in every variant, remember what was seen, and return the mean rewards."""
         lanes.restart()
-        seen, rewards = [], np.zeros(len(lessons))
+        inputs, rewards = [], np.zeros(len(lessons))
         for _ in range(settings.steps):
-            seen.append(lanes.observations.astype(np.float32))
-            rewards += lanes.step(np.clip(act(lanes.observations), -1, 1) * bound)
-        memory.add(np.array(seen), contexts, teachers)
+            inputs.append(lanes.inputs)
+            rewards += lanes.step(np.clip(act(inputs[-1]), -1, 1)).rewards
+        for lane, teacher in enumerate(teachers):
+            seen.append(np.array([rows[lane] for rows in inputs]))
+            labels.append(label(teacher, seen[-1][:, :size]))
         return rewards / settings.steps
 
-    def taught(observations: Array, noise: float = 0.0) -> Array:
-        modes = [
-            np.tanh(teacher.distribution(row)[0]) for teacher, row in zip(teachers, observations, strict=True)
-        ]
-        return np.array(modes) + noise * rng.standard_normal(np.shape(modes))
+    def taught(inputs: Array, noise: float = 0.0) -> Array:
+        rows = zip(teachers, inputs[:, :size], strict=True)
+        modes = np.array([np.tanh(teacher.distribution(row)[0]) for teacher, row in rows])
+        return modes + noise * rng.standard_normal(modes.shape)
 
     wanted = record(taught)
     record(partial(taught, noise=_NOISE))
     for number in range(1, settings.rounds + 1):
         last = number == settings.rounds
         updates = settings.updates * (4 if last else 1)
-        loss = student.learn(memory, rng, updates, settings.learning_rate / (100 if last else 5))
-        rewards = record(lambda seen: student.act(np.concatenate([seen, contexts], axis=1)))
+        memory = np.concatenate(seen), np.concatenate(labels)
+        loss = student.learn(*memory, rng, updates, settings.learning_rate / (100 if last else 5))
+        rewards = record(student.act)
         on_round(Round(number, rewards / wanted, loss, time.monotonic() - begin), student.weights())
     lanes.close()
     return student.weights()
-
-
-class _Memory:
-    """All observations that were seen with their contexts, and the labels of the teachers."""
-
-    def __init__(self) -> None:
-        self._inputs: list[Array] = []
-        self._labels: list[Array] = []
-
-    def add(self, seen: Array, contexts: Array, teachers: Sequence[Actor]) -> None:
-        """Add the observations that were seen, of shape (steps, variants, observation size)."""
-        told = np.broadcast_to(contexts, (*seen.shape[:2], contexts.shape[1]))
-        inputs = np.concatenate([seen, told], axis=2).reshape(-1, seen.shape[2] + told.shape[2])
-        labels = np.stack([label(teacher, seen[:, i]) for i, teacher in enumerate(teachers)], axis=1)
-        # One array each, so that a sample is one look-up.
-        self._inputs = [np.concatenate([*self._inputs, inputs])]
-        self._labels = [np.concatenate([*self._labels, labels.reshape(len(inputs), -1)])]
-
-    def sample(self, rng: np.random.Generator, shape: tuple[int, int]) -> tuple[Array, Array]:
-        """Return inputs and labels, drawn evenly; shapes (*shape, inputs) and (*shape, labels)."""
-        (inputs,), (labels,) = self._inputs, self._labels
-        chosen = rng.integers(len(inputs), size=shape)
-        return inputs[chosen], labels[chosen]
 
 
 def label(teacher: Actor, observations: Array) -> Array:
@@ -263,14 +215,16 @@ class Student:
         self._updates = jax.jit(lambda carry, batches: jax.lax.scan(update, carry, batches))
         self._forward = jax.jit(forward)
 
-    def learn(self, memory: _Memory, rng: np.random.Generator, updates: int, last_rate: float) -> float:
+    def learn(
+        self, inputs: Array, labels: Array, rng: np.random.Generator, updates: int, last_rate: float
+    ) -> float:
         """Make gradient steps, with a rate that falls to ``last_rate``, and return the last mean loss."""
         rates = np.geomspace(self._rate, last_rate, updates).astype(np.float32)
         losses: Array = np.zeros(1)
         for piece in np.split(rates, range(250, updates, 250)):
-            inputs, labels = memory.sample(rng, (len(piece), self._batch))
+            chosen = rng.integers(len(inputs), size=(len(piece), self._batch))
             (self._params, self._state), losses = self._updates(
-                (self._params, self._state), (inputs, labels, piece)
+                (self._params, self._state), (inputs[chosen], labels[chosen], piece)
             )
         return float(np.mean(losses))
 
@@ -280,4 +234,4 @@ class Student:
 
     def weights(self) -> dict[str, Array]:
         """Return the weights as float16, the precision that is stored."""
-        return {name: np.asarray(array).astype(np.float16) for name, array in self._params.items()}
+        return as_stored(self._params)

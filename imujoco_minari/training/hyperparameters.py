@@ -13,8 +13,8 @@ from typing import Any, get_type_hints
 from imujoco_minari.errors import CatalogueError, clipped, suggestion
 from imujoco_minari.variants import specification
 
-SCRATCH, WARM, NEAR, IMPROVE = "scratch", "warm", "near", "improve"
-_MAY_BE_ZERO = {"settling_rate", "settling_steps", "exploration_steps", "anchor"}
+SCRATCH, WARM, NEAR, IMPROVE, UNIVERSAL = "scratch", "warm", "near", "improve", "universal"
+_MAY_BE_ZERO = {"settling_rate", "settling_from", "exploration_steps", "critic_updates", "anchor", "momentum"}
 
 
 @dataclass(frozen=True)
@@ -23,16 +23,21 @@ class Hyperparameters:
 
     Attributes:
         critic_width: units in each of a critic's two hidden layers.
-        steps_per_call: environment steps between two calls of the update loop.
+        lanes: environments that are stepped together.
+        steps_per_call: environment steps between two calls of the update loop, a multiple of the lanes.
         updates_per_call: gradient steps in each call.
         policy_delay: critic updates per actor update.
         batch_size: transitions per update.
+        buffer_size: transitions that are kept.
         learning_rate: learning rate of actor, critics and entropy coefficient.
-        settling_rate: learning rate of the last steps.
-        settling_steps: number of steps at the settling rate.
+        settling_rate: learning rate at the end. The rate falls to it by a cosine.
+        settling_from: share of the steps after which the rate begins to fall.
+        momentum: decay of Adam's mean of the gradients.
         anchor: how far the policy may go from the one that it began as; 0 does not hold it.
+        average: share that the averaged weights keep at each of their updates, one in 50 calls.
         gamma: discount factor.
         exploration_steps: steps before the first update, by random actions or by the loaded policy.
+        critic_updates: updates of the critics alone after them.
         evaluate_every: steps between two evaluations. Each evaluation is a checkpoint too.
         max_steps: number of steps after which a run ends without reaching its target.
         ranking_episodes: episodes of each evaluation.
@@ -42,16 +47,21 @@ class Hyperparameters:
     """
 
     critic_width: int
+    lanes: int
     steps_per_call: int
     updates_per_call: int
     policy_delay: int
     batch_size: int
+    buffer_size: int
     learning_rate: float
     settling_rate: float
-    settling_steps: int
+    settling_from: float
+    momentum: float
     anchor: float
+    average: float
     gamma: float
     exploration_steps: int
+    critic_updates: int
     evaluate_every: int
     max_steps: int
     ranking_episodes: int
@@ -61,8 +71,12 @@ class Hyperparameters:
 
     def rate(self, steps: int) -> float:
         """Return the learning rate after ``steps`` environment steps."""
-        settling = steps >= self.max_steps - self.settling_steps
-        return self.settling_rate if settling else self.learning_rate
+        done = min(1.0, steps / self.max_steps)
+        if done <= self.settling_from:
+            return self.learning_rate
+        part = (done - self.settling_from) / (1 - self.settling_from)
+        above = self.learning_rate - self.settling_rate
+        return self.settling_rate + above * (1 + math.cos(math.pi * part)) / 2
 
     def asdict(self) -> dict[str, Any]:
         """Return the fields as a dict for JSON."""
@@ -75,7 +89,7 @@ def hyperparameters(robot: str, start: str, **changes: Any) -> Hyperparameters:
     Args:
         robot: name of the robot.
         start: ``scratch``; ``warm``, from an agent that is far from the target; ``near``, from one that
-            nearly reaches it; or ``improve``, from the policy's own agent.
+            nearly reaches it; ``improve``, from the policy's own agent; or ``universal``.
         **changes: values that replace those of the file.
 
     Raises:

@@ -1,23 +1,22 @@
-"""A finished run becomes the policy of its variant: weights, ladder and record in the policies folder."""
+"""A finished run becomes the policy of its variant, if no policy that exists is as good."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from imujoco_minari.errors import PolicyNotFoundError
-from imujoco_minari.policies import find_policy_file, read_actor
+from imujoco_minari.policies import find_policy_file, own_record, read_actor, universal_policy
 from imujoco_minari.policies.evaluation import evaluate
-from imujoco_minari.policies.rungs import mean_return
+from imujoco_minari.policies.rungs import LADDER_SEED, mean_return, rung_file
 from imujoco_minari.storage.files import write_json
-from imujoco_minari.training.agents import load_arrays, save_arrays
-from imujoco_minari.training.ladder import Ladder
-from imujoco_minari.training.plan import Plan
-from imujoco_minari.training.run import OnInterval, load_progress, score
-from imujoco_minari.training.task import Task
+from imujoco_minari.training.agents import actor_of, load_arrays, save_arrays
+from imujoco_minari.training.selection import CHOOSING_SEED, score
 from imujoco_minari.variants import BASE, Variant
 
+# Shares of the base expert's return. The checkpoint nearest to each becomes a rung of the base.
+RUNG_SHARES = (0.05, 0.15, 0.25, 0.35, 0.45, 0.55, 0.7, 0.85)
+RUNG_EPISODES = 100
 # The entries of a record that are kept, under `before`, when the policy is improved.
 _HISTORY_KEYS = (
     "start",
@@ -32,84 +31,73 @@ _HISTORY_KEYS = (
 )
 
 
-def with_history(record: dict[str, Any], before: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the record of an improved policy. Its entry ``before`` keeps part of the earlier record."""
-    return record | ({"before": {key: before.get(key) for key in _HISTORY_KEYS}} if before else {})
+def own_score(variant: Variant, policies: Path, episodes: int) -> float:
+    """Return the score of a variant's own expert on the episodes that select actors; -inf without one."""
+    path = find_policy_file(f"{variant}.safetensors", policies)
+    if path is None or not own_record(variant, policies):
+        return float("-inf")
+    return _score(variant, read_actor(path).for_robot(variant.robot), episodes)
 
 
-def is_better(record: Mapping[str, Any], task: Task, policies: Path) -> bool:
-    """Return whether a run's best actor beats the present expert, on the episodes that select actors.
+def folded_score(variant: Variant, policies: Path, episodes: int) -> float:
+    """Return the score of a variant's folded expert on the episodes that select actors.
 
-    The episodes of the records' evaluations select nothing.
-
-    Args:
-        record: the record of the run.
-        task: the run.
-        policies: the folder of finished policies.
+    It is -inf for a base, which needs an expert of its own, and for a robot without a universal policy.
     """
-    present, selection = find_policy_file(f"{task.variant}.safetensors", policies), record["selection"]
-    if present is None:
-        return True
-    actor, episodes = read_actor(present).for_robot(task.variant.robot), selection["episodes"]
-    other = evaluate(task.variant, actor, episodes=episodes, seed=selection["seed"])
-    return score(selection) > score(other.asdict())
+    universal = universal_policy(variant.robot, policies)
+    if universal is None or variant.category == BASE:
+        return float("-inf")
+    return _score(variant, universal.fold(variant), episodes)
 
 
 def install(
-    variant: Variant, folder: Path, record: dict[str, Any], plan: Plan, on_interval: OnInterval
+    variant: Variant, folder: Path, record: dict[str, Any], evaluations: Sequence[Any], policies: Path
 ) -> dict[str, Any]:
     """Copy the policy of a finished run to the policies folder and return its complete record.
 
-    For a base, its complete agent and the rungs of its ladder are copied too.
+    A base gets its agent and its ladder too. An improved base keeps its first ladder, because the returns of
+    further training do not rise step by step.
 
     Args:
         variant: the variant.
         folder: state folder of the run.
         record: the run's record.
-        plan: the settings.
-        on_interval: called after every interval of a climb.
+        evaluations: the run's evaluations.
+        policies: the folder of policies.
     """
-    evaluations, checkpoints = load_progress(folder).evaluations, folder / "ladder"
-    ladder = Ladder(variant, mean_return(record), plan.policies)
-    ladder.add_known()
+    before = own_record(variant, policies)
+    if before:
+        record = record | {"before": {key: before.get(key) for key in _HISTORY_KEYS}}
     if variant.category == BASE:
-        # An improved base keeps its first ladder: the returns of further training do not rise step by step.
-        if not ladder.rungs:
-            ladder.add_spread(checkpoints, evaluations)
-        agent = load_arrays(folder / "best-agent.safetensors")
-        save_arrays(plan.policies / f"{variant}.agent.safetensors", agent)
-    ladder.add_missing(checkpoints, evaluations)
-    ladder.climb(plan, folder / "climb", on_interval)
-    return _write_policy(ladder, folder / "best.safetensors", record)
-
-
-def renew_ladder(
-    variant: Variant, folder: Path, record: dict[str, Any], plan: Plan, on_interval: OnInterval
-) -> dict[str, Any]:
-    """Measure the ladder of a finished policy again, add rungs that it lacks, and return its record.
-
-    Args:
-        variant: the variant.
-        folder: state folder of the climb.
-        record: the policy's record.
-        plan: the settings.
-        on_interval: called after every interval of the climb.
-
-    Raises:
-        PolicyNotFoundError: if the policy's file or the file of a rung is missing.
-    """
-    weights = find_policy_file(f"{variant}.safetensors", plan.policies)
-    if weights is None:
-        raise PolicyNotFoundError(f"{variant} has a training record, but {variant}.safetensors is missing")
-    ladder = Ladder(variant, mean_return(record), plan.policies)
-    ladder.add_known()
-    ladder.climb(plan, folder / "climb", on_interval)
-    return _write_policy(ladder, weights, record)
-
-
-def _write_policy(ladder: Ladder, weights: Path, record: dict[str, Any]) -> dict[str, Any]:
-    record = record | {"ladder": ladder.rungs}
-    save_arrays(ladder.policies / f"{ladder.variant}.safetensors", load_arrays(weights))
+        save_arrays(policies / f"{variant}.agent.safetensors", load_arrays(folder / "best-agent.safetensors"))
+        ladder = before.get("ladder") or _base_ladder(
+            variant, folder, evaluations, mean_return(record), policies
+        )
+        record = record | {"ladder": ladder}
+    save_arrays(policies / f"{variant}.safetensors", load_arrays(folder / "best.safetensors"))
     # The record is written last. Its presence means that the policy is complete.
-    write_json(ladder.policies / f"{ladder.variant}.json", record)
+    write_json(policies / f"{variant}.json", record)
     return record
+
+
+def _base_ladder(
+    base: Variant, folder: Path, evaluations: Sequence[Any], expert_return: float, policies: Path
+) -> list[Mapping[str, Any]]:
+    """Save the checkpoint nearest to each of the shares as a rung, and return the ladder."""
+
+    def nearest(share: float) -> int:
+        wanted = share * expert_return
+        return int(min(evaluations, key=lambda e: abs(e["present"]["return_mean"] - wanted))["steps"])
+
+    ladder: list[Mapping[str, Any]] = []
+    for steps in sorted({nearest(share) for share in RUNG_SHARES}):
+        arrays = load_arrays(folder / "ladder" / f"{steps}.safetensors")
+        save_arrays(policies / rung_file(base, steps), arrays)
+        actor = actor_of(arrays, base.robot)
+        measured = evaluate(base, actor, episodes=RUNG_EPISODES, seed=LADDER_SEED).asdict()
+        ladder.append({"steps": steps, "evaluation": measured})
+    return ladder
+
+
+def _score(variant: Variant, actor: Any, episodes: int) -> float:
+    return score(evaluate(variant, actor, episodes=episodes, seed=CHOOSING_SEED).asdict())

@@ -27,7 +27,6 @@ class Plan:
         changes: hyperparameters that replace those of the file.
         nice: increase of the process's nice value.
         improve: continue the training of finished policies and keep the better ones.
-        ladders: measure the ladders of finished policies again, and add the rungs that they lack.
         device: device of the updates: ``cpu``, ``gpu``, or None for JAX's default.
     """
 
@@ -39,5 +38,4 @@ class Plan:
     changes: dict[str, int | float] = field(default_factory=dict)
     nice: int = 0
     improve: bool = False
-    ladders: bool = False
     device: str | None = None

@@ -7,27 +7,20 @@ agent.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-
-import numpy as np
 
 from imujoco_minari.errors import PolicyNotFoundError
 from imujoco_minari.policies import Array, agent_file, own_record, universal_policy
 from imujoco_minari.policies.evaluation import evaluate
 from imujoco_minari.policies.experts import FOLDED
-from imujoco_minari.policies.universal import UniversalPolicy, universal_name
+from imujoco_minari.policies.universal import universal_name
 from imujoco_minari.training.agents import actor_of, agent_actor, load_arrays, replace_actor
-from imujoco_minari.training.run import score as score_of
-from imujoco_minari.variants import Variant, specification
+from imujoco_minari.training.critics import fold_critics
+from imujoco_minari.training.selection import score as score_of
+from imujoco_minari.variants import Variant
 
 EPISODES, START_SEED = 5, 1_000_005
-# The epsilon of SBX's batch normalisation.
-_EPSILON = 1e-3
-_KERNEL, _BIAS = (f"qf/params/VmapCritic_0/Dense_0/{name}" for name in ("kernel", "bias"))
-_STATISTICS = "qf/batch_stats/VmapCritic_0/BatchRenorm_0"
-_SCALING = "qf/params/VmapCritic_0/BatchRenorm_0"
 
 
 @dataclass
@@ -80,36 +73,3 @@ def best_start(variant: Variant, policies: Path) -> Start:
         )
         start.score = score_of(measured.asdict())
     return max(starts, key=lambda start: start.score)
-
-
-def fold_critics(
-    universal: UniversalPolicy, variant: Variant, arrays: Mapping[str, Array]
-) -> dict[str, Array]:
-    """Return the critics that are told a variant, as critics of observation and action alone.
-
-    The normalised context is constant, so its part of the first layer is a constant that is added to the
-    bias: exact with the normalisation's running statistics, which critics use when they judge.
-
-    Args:
-        universal: the universal policy.
-        variant: the variant.
-        arrays: the arrays of its agent: the critics' parameters and statistics.
-    """
-    first = specification(variant.robot).observation_size
-    told = universal.context(variant)
-    rows = slice(first, first + len(told))
-    mean, var = (arrays[f"{_STATISTICS}/{name}"][:, rows].astype(np.float64) for name in ("mean", "var"))
-    scale, bias = (arrays[f"{_SCALING}/{name}"][:, rows].astype(np.float64) for name in ("scale", "bias"))
-    normalised = (told - mean) / np.sqrt(var + _EPSILON) * scale + bias
-    size = arrays[_KERNEL].shape[1]
-    folded: dict[str, Array] = {
-        name: np.delete(array, np.r_[rows], axis=1) if array.ndim > 1 and array.shape[1] == size else array
-        for name, array in arrays.items()
-        if name.startswith(("qf/", "entropy/"))
-    }
-    constant = np.einsum("cn,cnh->ch", normalised, arrays[_KERNEL][:, rows].astype(np.float64))
-    folded[_BIAS] = (arrays[_BIAS] + constant).astype(np.float32)
-    return {
-        name: array.astype(np.float32) if array.dtype == np.float16 else array
-        for name, array in folded.items()
-    }

@@ -7,6 +7,7 @@ policies folder. A lock in its state folder prevents two sweeps from training it
 from __future__ import annotations
 
 import fcntl
+import json
 import os
 import shutil
 from collections.abc import Iterator, Sequence
@@ -18,8 +19,10 @@ from typing import Any
 
 from imujoco_minari.errors import ImujocoError, JobError, StorageError, TrainingError
 from imujoco_minari.parallel import run_jobs
-from imujoco_minari.policies import own_record
+from imujoco_minari.policies import expert_record, own_record
+from imujoco_minari.policies.experts import FOLDED
 from imujoco_minari.policies.rungs import mean_return
+from imujoco_minari.storage.files import write_json
 from imujoco_minari.training.hyperparameters import (
     IMPROVE,
     NEAR,
@@ -27,7 +30,7 @@ from imujoco_minari.training.hyperparameters import (
     WARM,
     hyperparameters,
 )
-from imujoco_minari.training.installing import install, is_better, renew_ladder, with_history
+from imujoco_minari.training.installing import folded_score, install, own_score
 from imujoco_minari.training.plan import Plan
 from imujoco_minari.training.run import OnInterval, Run, do_nothing
 from imujoco_minari.training.starts import best_start
@@ -49,8 +52,7 @@ class Trained:
         variant: the variant, or the universal policy's name.
         record: record of the present policy.
         created: whether this call trained that policy.
-        measured: whether this call measured the ladder of that policy again.
-        tried: record of a run that did not improve the policy.
+        tried: record of a run that gave no better policy.
         error: why the training failed; empty on success.
         missing: whether it failed because something that was asked for does not exist.
     """
@@ -58,14 +60,16 @@ class Trained:
     variant: Variant | str
     record: dict[str, Any] = field(default_factory=dict)
     created: bool = False
-    measured: bool = False
     tried: dict[str, Any] = field(default_factory=dict)
     error: str = ""
     missing: bool = False
 
 
 def train(variant: Variant, plan: Plan, on_interval: OnInterval = do_nothing) -> Trained:
-    """Train one variant, or resume its training, and install its policy.
+    """Train one variant, or resume its training, and install its policy if it is the best one.
+
+    The expert of a variant is the better of its own and the folded one. If the folded one stays the expert,
+    the state folder keeps the record of the run, and the run is not repeated without ``improve``.
 
     Args:
         variant: any variant of the grammar.
@@ -76,35 +80,38 @@ def train(variant: Variant, plan: Plan, on_interval: OnInterval = do_nothing) ->
         PolicyNotFoundError: if the agent to start from does not exist.
         TrainingError: if another process trains the variant.
     """
-    again = plan.improve or plan.ladders
-    if not again and (done := own_record(variant, plan.policies)):
+    if not plan.improve and (done := own_record(variant, plan.policies)):
         return Trained(variant, dict(done))
     folder = plan.state / str(variant)
     with lock_folder(folder):
         # Another process may have finished it before this one got the lock.
         done = dict(own_record(variant, plan.policies))
-        if done and not again:
-            return Trained(variant, done)
         if done and not plan.improve:
-            renewed = renew_ladder(variant, folder, done, plan, on_interval)
-            outcome = Trained(variant, renewed, measured=True)
+            return Trained(variant, done)
+        present = done or dict(expert_record(variant, plan.policies))
+        beaten = folder / "tried.json"
+        if beaten.is_file() and not plan.improve:
+            tried = json.loads(beaten.read_text("utf-8"))
+            if tried["not_better_than"] == present.get("weights_sha256"):
+                return Trained(variant, present, tried=tried)
+        with closing(Run(task(variant, plan), folder, device=plan.device)) as run:
+            run.train(on_interval)
+            record, reached = run.make_record(), run.progress.best_score
+        # The episodes of the records' evaluations select nothing, so those of the selection compare.
+        episodes = record["selection"]["episodes"]
+        rivals = (each(variant, plan.policies, episodes) for each in (own_score, folded_score))
+        better = reached > max(rivals)
+        # A start that was not trained further is the folded policy itself.
+        if better and not (record["start"] == FOLDED and record["steps"] == 0):
+            installed = install(variant, folder, record, run.progress.evaluations, plan.policies)
+            outcome = Trained(variant, installed, created=True)
         else:
-            work = task(variant, plan)
-            record = _finish_run(work, folder, plan, on_interval)
-            if done and not is_better(record, work, plan.policies):
-                outcome = Trained(variant, done, tried=record)
-            else:
-                installed = install(variant, folder, with_history(record, done), plan, on_interval)
-                outcome = Trained(variant, installed, created=True)
+            outcome = Trained(variant, present, tried=record)
         # The replay buffer alone is tens of megabytes.
         shutil.rmtree(folder)
+        if not outcome.created and not done:
+            write_json(beaten, record | {"not_better_than": present["weights_sha256"]})
     return outcome
-
-
-def _finish_run(work: Task, folder: Path, plan: Plan, on_interval: OnInterval = do_nothing) -> dict[str, Any]:
-    """Run or resume a task to its end and return the record of its best actor."""
-    with closing(Run(work, folder, device=plan.device)) as run:
-        return run.train(on_interval)
 
 
 def train_all(
@@ -155,7 +162,7 @@ def task(variant: Variant, plan: Plan) -> Task:
         return Task(variant, settings, plan.seed, target=target)
     start = best_start(variant, plan.policies)
     needed_score = TARGET_SHARE * mean_return(own_record(variant.base, plan.policies))
-    if plan.target is None and not improving:
+    if plan.target is None and not plan.improve:
         target = needed_score
     near = start.score >= NEAR_SHARE * needed_score
     kind = IMPROVE if variant.category == BASE else NEAR if near else WARM

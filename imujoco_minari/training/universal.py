@@ -10,11 +10,9 @@ import json
 import shutil
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from contextlib import closing
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -30,13 +28,22 @@ from imujoco_minari.policies import (
 )
 from imujoco_minari.policies.references import evaluations
 from imujoco_minari.policies.rungs import mean_return
-from imujoco_minari.policies.universal import UniversalPolicy, universal_name, whole_context
+from imujoco_minari.policies.universal import (
+    UniversalPolicy,
+    universal_name,
+    universal_of_record,
+    whole_context,
+)
 from imujoco_minari.storage.files import write_json
-from imujoco_minari.training.agents import ALGORITHM, load_arrays, save_arrays
-from imujoco_minari.training.anchored import Anchored, AnchoredRun
+from imujoco_minari.training.agents import ALGORITHM, CRITICS, load_arrays, replace_actor, save_arrays
+from imujoco_minari.training.critics import with_context
 from imujoco_minari.training.distilling import Distilling, Lesson, Round, best_teacher, distil
+from imujoco_minari.training.hyperparameters import UNIVERSAL, hyperparameters
 from imujoco_minari.training.plan import Plan
+from imujoco_minari.training.run import OnInterval, Run, do_nothing, versions
+from imujoco_minari.training.selection import universal_of
 from imujoco_minari.training.sweep import Trained, lock_folder
+from imujoco_minari.training.task import Distribution, Task
 from imujoco_minari.variants import Change, Variant, catalogue
 from imujoco_minari.variants.context import parameters
 from imujoco_minari.variants.off_dynamics import off_dynamics, off_dynamics_names
@@ -46,19 +53,6 @@ from imujoco_minari.variants.ranges import drawing_ranges
 DRAWN, WORTH_TEACHING = 80, 0.5
 # Experts of other variants that are tried as teachers of a drawn one, beside those of its own parameters.
 _OTHERS = 8
-
-
-@dataclass(frozen=True)
-class UniversalSettings:
-    """The settings of a universal policy's training.
-
-    Attributes:
-        distilling: those of the distillation.
-        anchored: those of the training after it; None to end with the distilled policy.
-    """
-
-    distilling: Distilling = field(default_factory=Distilling)
-    anchored: Anchored | None = field(default_factory=Anchored)
 
 
 def drawn_variant(robot: str, seed: int) -> Variant:
@@ -131,25 +125,29 @@ def _folded(present: UniversalPolicy | None, variant: Variant) -> dict[str, Acto
 
 
 def train_universal(
-    robot: str, plan: Plan, settings: UniversalSettings, say: Callable[[str], None] | None = None
+    robot: str,
+    plan: Plan,
+    distilling: Distilling | None = None,
+    say: Callable[[str], None] = lambda line: None,
+    on_interval: OnInterval = do_nothing,
 ) -> Trained:
     """Train the universal policy of a robot and install it. A killed run continues where it stopped.
 
     Args:
         robot: the robot.
-        plan: the folders, and whether to improve a universal policy that exists.
-        settings: the settings.
-        say: called with a line about the progress now and then.
+        plan: the folders, the hyperparameters that differ, and whether to improve a policy that exists.
+        distilling: the settings of the distillation; None for the usual ones with the plan's seed.
+        say: called with a line about the distillation now and then.
+        on_interval: called with the progress and the task after every interval of the training after it.
 
     Raises:
         PolicyNotFoundError: if the base has no expert, or no agent whose critics the training needs.
         TrainingError: if another process trains it.
     """
-    say = say or do_nothing
-    name = universal_name(robot)
-    present = universal_policy(robot, plan.policies)
+    name, present = universal_name(robot), universal_policy(robot, plan.policies)
     if present is not None and not plan.improve:
         return Trained(name, dict(present.record))
+    distilling = distilling or Distilling(seed=plan.seed)
     folder, begin = plan.state / name, time.monotonic()
     with lock_folder(folder):
         distilled = folder / "distilled.safetensors"
@@ -159,23 +157,39 @@ def train_universal(
             shares = [lesson.share for lesson in taught]
             say(f"{len(taught)} variants, their teachers at {np.median(shares):.3f} of the base (median)")
             start = present.actor if present is not None else expert_actor(Variant(robot))
-            weights = distil(taught, start, settings.distilling, partial(_tell, say))
-            _write_ranges(folder, robot, taught)
+            weights = distil(taught, start, distilling, partial(_tell, say))
+            write_json(folder / "ranges.json", _ranges(robot, taught))
             save_arrays(distilled, weights)
-        weights = load_arrays(distilled)
-        if settings.anchored is not None:
-            weights, critics = _train_on(robot, plan, settings.anchored, weights, folder / "anchored", say)
-            save_arrays(plan.policies / f"{name}.agent.safetensors", critics)
-        record = _record(robot, weights, folder, plan, settings, time.monotonic() - begin)
+        work = _task(robot, plan, load_arrays(distilled))
+        with closing(Run(work, folder / "run", device=plan.device)) as run:
+            run.train(on_interval)
+        weights = load_arrays(folder / "run" / "best.safetensors")
+        record = {
+            "robot": robot,
+            "algorithm": ALGORITHM,
+            "weights_sha256": universal_of(weights, robot).sha256,
+            "ranges": json.loads((folder / "ranges.json").read_text("utf-8")),
+            "seed": plan.seed,
+            "distilling": vars(distilling),
+            "hyperparameters": work.settings.asdict(),
+            "steps": run.progress.best_steps,
+            "steps_trained": run.progress.steps,
+            "updates": run.progress.updates,
+            "wall_seconds": round(time.monotonic() - begin, 1),
+            "versions": versions(),
+            "measured": {},
+        }
+        policy = universal_of_record(universal_of(weights, robot).actor, record)
+        for variant in measured_variants(robot):
+            record["measured"][str(variant)] = evaluations(variant, policy.fold(variant))
         save_arrays(plan.policies / f"{name}.safetensors", weights)
+        agent = load_arrays(folder / "run" / "best-agent.safetensors")
+        critics = {path: array for path, array in agent.items() if path.startswith(CRITICS)}
+        save_arrays(plan.policies / f"{name}.agent.safetensors", critics)
         # The record is written last. Its presence means that the policy is complete.
         write_json(plan.policies / f"{name}.json", record)
         shutil.rmtree(folder)
     return Trained(name, record, created=True)
-
-
-def do_nothing(line: str) -> None:
-    """Do nothing with a line about the progress."""
 
 
 def _tell(say: Callable[[str], None], told: Round, weights: dict[str, Array]) -> None:
@@ -185,80 +199,34 @@ def _tell(say: Callable[[str], None], told: Round, weights: dict[str, Array]) ->
     )
 
 
-def _train_on(
-    robot: str,
-    plan: Plan,
-    settings: Anchored,
-    start: dict[str, Array],
-    folder: Path,
-    say: Callable[[str], None],
-) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Train a universal policy further; return the weights of the best checkpoint, and the critics."""
+def _task(robot: str, plan: Plan, start: dict[str, Array]) -> Task:
+    """Return the training of a distilled policy."""
     base = Variant(robot)
-    agent = agent_file(universal_name(robot), plan.policies) or agent_file(base, plan.policies)
-    if agent is None:
+    path = agent_file(universal_name(robot), plan.policies) or agent_file(base, plan.policies)
+    if path is None:
         raise PolicyNotFoundError(f"the critics begin as those of {base}, which has no agent")
+    listed = (base, *catalogue(robot))
+    contexts = np.array([whole_context(variant) for variant in listed], np.float32)
     base_return = mean_return(own_record(base, plan.policies))
-    run = AnchoredRun(
-        dict.fromkeys((base, *catalogue(robot)), base_return),
-        partial(drawn_variant, robot),
-        start,
-        load_arrays(agent),
-        settings,
-        folder,
+    return Task(
+        base,
+        hyperparameters(robot, UNIVERSAL, **plan.changes),
+        plan.seed,
+        start="distilled",
+        agent=replace_actor(with_context(load_arrays(path), contexts, robot), start),
+        over=Distribution(dict.fromkeys(listed, base_return), partial(drawn_variant, robot)),
     )
 
-    def tell(told: dict[str, Any]) -> None:
-        say(
-            f"{told['steps']:>9,} steps: {told['present']['median']:.3f} of the base (median), "
-            f"lowest {told['present']['min']:.3f}; averaged {told['average']['median']:.3f}, "
-            f"{told['average']['min']:.3f}; {told['seconds'] / 60:.1f} min"
-        )
 
-    run.train(tell)
-    return load_arrays(folder / "best.safetensors"), run.critics()
-
-
-def _write_ranges(folder: Path, robot: str, taught: Sequence[Lesson]) -> None:
-    """Keep the ranges of the contexts that were taught, and the number of teachers by kind."""
+def _ranges(robot: str, taught: Sequence[Lesson]) -> dict[str, list[float]]:
+    """Return the lowest and the highest percent of each parameter that was taught or is drawn."""
     contexts = 100 * np.array([whole_context(lesson.variant) for lesson in taught])
-    drawn = drawing_ranges(robot, unlisted=True)
-    ranges = {
-        name: [min(low, *drawn.get(name, (0, 0))), max(high, *drawn.get(name, (0, 0)))]
-        for name, low, high in zip(
-            parameters(robot), contexts.min(0).tolist(), contexts.max(0).tolist(), strict=True
-        )
-    }
-    write_json(folder / "ranges.json", {name: [round(x, 2) for x in pair] for name, pair in ranges.items()})
-
-
-def _record(
-    robot: str,
-    weights: dict[str, Array],
-    folder: Path,
-    plan: Plan,
-    settings: UniversalSettings,
-    seconds: float,
-) -> dict[str, Any]:
-    """Return the record of a universal policy, with its evaluations in the variants that the docs list."""
-    ranges = json.loads((folder / "ranges.json").read_text("utf-8"))
-    low, high = (np.array([ranges[name][side] for name in parameters(robot)]) / 100 for side in (0, 1))
-    floats = {name: array.astype(np.float32) for name, array in weights.items()}
-    policy = UniversalPolicy(robot, Actor(floats, ALGORITHM), low, high, {})
-    return {
-        "robot": robot,
-        "algorithm": ALGORITHM,
-        "weights_sha256": policy.sha256,
-        "ranges": ranges,
-        "seed": plan.seed,
-        "distilling": vars(settings.distilling),
-        "anchored": None if settings.anchored is None else vars(settings.anchored),
-        "wall_seconds": round(seconds, 1),
-        "versions": {name: version(name) for name in ("mujoco", "gymnasium", "jax", "sbx-rl", "numpy")},
-        "measured": {
-            str(variant): evaluations(variant, policy.fold(variant)) for variant in measured_variants(robot)
-        },
-    }
+    drawn, lowest, highest = drawing_ranges(robot, unlisted=True), contexts.min(0), contexts.max(0)
+    ranges = {}
+    for name, low, high in zip(parameters(robot), lowest.tolist(), highest.tolist(), strict=True):
+        least, most = drawn.get(name, (0, 0))
+        ranges[name] = [round(min(low, least), 2), round(max(high, most), 2)]
+    return ranges
 
 
 def measured_variants(robot: str) -> list[Variant]:

@@ -25,7 +25,7 @@ LIGHT_LEG = Variant.parse("hopper-massdec_25_leggeom")
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore::DeprecationWarning"),
-    pytest.mark.usefixtures("kept_compiled", "checked_here"),
+    pytest.mark.usefixtures("checked_here"),
 ]
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,12 +12,13 @@ from imujoco_minari.policies.experts import agent_file
 from imujoco_minari.policies.universal import FIRST_WEIGHT, UniversalPolicy
 from imujoco_minari.training import universal
 from imujoco_minari.training.agents import load_arrays
-from imujoco_minari.training.anchored import Anchored, AnchoredRun
-from imujoco_minari.training.anchored_updates import with_context
+from imujoco_minari.training.critics import with_context
 from imujoco_minari.training.distilling import Distilling, Lesson, best_teacher, distil
 from imujoco_minari.training.plan import Plan
+from imujoco_minari.training.run import Progress
 from imujoco_minari.training.starts import best_start
-from imujoco_minari.training.universal import UniversalSettings, drawn_variant, train_universal
+from imujoco_minari.training.task import Task
+from imujoco_minari.training.universal import drawn_variant, train_universal
 from imujoco_minari.variants import CATEGORIES, Variant
 from imujoco_minari.variants.context import parameters
 from imujoco_minari.variants.ranges import drawing_ranges
@@ -83,18 +83,15 @@ def test_the_critics_of_the_base_ignore_the_context_at_first() -> None:
     assert path is not None
     base = load_arrays(path)
     contexts = np.array([[0.0, 0.5], [1.0, 0.5]], np.float32)
-    own = {
-        name: np.zeros((*array.shape[:1], array.shape[1] + 2, *array.shape[2:]), np.float32)
-        if array.ndim > 1 and array.shape[1] == 14
-        else np.zeros_like(array)
-        for name, array in base.items()
-    }
     kernel = "qf/params/VmapCritic_0/Dense_0/kernel"
-    arrays = with_context(own, base, contexts, 11)
+    arrays = with_context(base, contexts, "hopper")
     assert np.array_equal(np.delete(arrays[kernel], [11, 12], axis=1), base[kernel])
     assert not arrays[kernel][:, 11:13].any()
     assert arrays["qf/batch_stats/VmapCritic_0/BatchRenorm_0/mean"][0, 11:13].tolist() == [0.5, 0.5]
     assert (arrays["qf/params/VmapCritic_0/BatchRenorm_0/scale"][:, 11:13] == 1).all()
+    # Critics that are told already stay as they are.
+    again = with_context(arrays, contexts, "hopper")
+    assert all(np.array_equal(array, arrays[name]) for name, array in again.items())
 
 
 def test_a_universal_policy_is_trained_killed_resumed_and_installed(
@@ -103,31 +100,43 @@ def test_a_universal_policy_is_trained_killed_resumed_and_installed(
     monkeypatch.setattr(universal, "lessons", lambda *_: [lesson(BASE), lesson(HEAVY)])
     monkeypatch.setattr(universal, "catalogue", lambda robot: (HEAVY,))
     monkeypatch.setattr(universal, "evaluations", lambda variant, policy: {"sha256": policy.sha256})
-    anchored = Anchored(
-        steps=400, critic_updates=18, batch_size=32, buffer_size=2000, interval=200, filling=40
-    )
-    settings, plan = (
-        UniversalSettings(SMALL, anchored),
-        Plan(tmp_path / "state", tmp_path / "policies", improve=True),
-    )
+    changes = {
+        "lanes": 10,
+        "steps_per_call": 10,
+        "max_steps": 400,
+        "critic_updates": 18,
+        "batch_size": 32,
+        "buffer_size": 2000,
+        "exploration_steps": 100,
+        "evaluate_every": 150,
+        "choosing_episodes": 1,
+        "deciding_episodes": 1,
+    }
+    plan = Plan(tmp_path / "state", tmp_path / "policies", improve=True, changes=changes)
     lines: list[str] = []
-    real = AnchoredRun._save
+    steps: list[int] = []
 
-    def save_and_die(run: Any) -> None:
-        real(run)
-        raise KeyboardInterrupt
+    def tell(progress: Progress, task: Task) -> None:
+        steps.append(progress.steps)
 
-    monkeypatch.setattr(AnchoredRun, "_save", save_and_die)
+    def die(progress: Progress, task: Task) -> None:
+        if progress.steps == 250:
+            raise KeyboardInterrupt
+
     with pytest.raises(KeyboardInterrupt):
-        train_universal("hopper", plan, settings, lines.append)
+        train_universal("hopper", plan, SMALL, lines.append, die)
     assert not (tmp_path / "policies").exists()
-    monkeypatch.setattr(AnchoredRun, "_save", real)
-    resumed: list[str] = []
-    outcome = train_universal("hopper", plan, settings, resumed.append)
-    assert outcome.created
     assert any(line.startswith("round 2") for line in lines)
-    # It goes on where it was: nothing is distilled again, and 200 steps are left.
-    assert [line.split(" steps")[0].strip() for line in resumed] == ["400"]
+    # It goes on where it was: nothing is distilled again, and 150 steps are left.
+    lines.clear()
+    outcome = train_universal("hopper", plan, SMALL, lines.append, tell)
+    assert outcome.created
+    assert (lines, steps) == ([], [400])
+    # It ends in the weights of a run that was not killed.
+    whole = Plan(tmp_path / "whole", tmp_path / "others", improve=True, changes=changes)
+    assert (
+        train_universal("hopper", whole, SMALL).record["weights_sha256"] == outcome.record["weights_sha256"]
+    )
     found = universal_policy("hopper", tmp_path / "policies")
     assert found is not None
     assert found.sha256 == outcome.record["weights_sha256"]
@@ -140,5 +149,5 @@ def test_a_universal_policy_is_trained_killed_resumed_and_installed(
     assert (
         best_start(HEAVY, tmp_path / "policies").agent["qf/params/VmapCritic_0/Dense_0/kernel"].shape[1] == 14
     )
-    kept = train_universal("hopper", Plan(tmp_path / "state", tmp_path / "policies"), settings)
+    kept = train_universal("hopper", Plan(tmp_path / "state", tmp_path / "policies"), SMALL)
     assert not kept.created

@@ -36,7 +36,7 @@ def test_a_text_sets_a_value_of_the_right_type() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("batch_size", r"cannot set 'batch_size': write NAME=VALUE; names: anchor, batch_size, "),
+        ("batch_size", r"cannot set 'batch_size': write NAME=VALUE; names: anchor, average, batch_size, "),
         ("batch_sise=3", r"cannot set 'batch_sise=3' \(did you mean 'batch_size'\?\): write NAME=VALUE"),
         ("algorithm=TQC", "cannot set 'algorithm=TQC'"),
         ("batch_size=", "batch_size is a whole number above 0"),

@@ -12,9 +12,9 @@ from imujoco_minari.policies import Array, agent_file, expert_record, universal_
 from imujoco_minari.policies.evaluation import Evaluation
 from imujoco_minari.policies.experts import FOLDED
 from imujoco_minari.training import starts
-from imujoco_minari.training.agents import actor_of, agent_actor, load_arrays
-from imujoco_minari.training.anchored_updates import with_context
-from imujoco_minari.training.starts import best_start, fold_critics
+from imujoco_minari.training.agents import CRITICS, actor_of, agent_actor, load_arrays
+from imujoco_minari.training.critics import fold_critics, with_context
+from imujoco_minari.training.starts import best_start
 from imujoco_minari.variants import Variant, specification
 
 VARIANT = Variant.parse("hopper-massinc_37_torsogeom-jointdec_20_legjoint")
@@ -43,13 +43,7 @@ def told_critics(rng: np.random.Generator) -> dict[str, Array]:
     assert path is not None
     assert universal is not None
     base, count = load_arrays(path), len(universal.low)
-    own = {
-        name: np.zeros((array.shape[0], array.shape[1] + count, *array.shape[2:]), np.float32)
-        if array.ndim > 1 and array.shape[1] == 14
-        else np.zeros_like(array)
-        for name, array in base.items()
-    }
-    arrays = with_context(own, base, rng.normal(size=(9, count)).astype(np.float32), 11)
+    arrays = with_context(base, rng.normal(size=(9, count)).astype(np.float32), "hopper")
     return {
         name: array + rng.normal(size=array.shape).astype(np.float32) * 0.1
         if name.startswith(("qf/params", "qf/batch_stats")) and not name.endswith(("var", "steps", "max"))
@@ -69,7 +63,7 @@ def test_folded_critics_judge_as_those_that_are_told() -> None:
     assert critic(folded, np.concatenate([seen, actions], axis=1)) == pytest.approx(whole, rel=1e-4, abs=1e-3)
     base = load_arrays(agent_file(Variant("hopper")) or Path())
     assert {name: array.shape for name, array in folded.items()} == {
-        name: array.shape for name, array in base.items() if name.startswith(("qf/", "entropy/"))
+        name: array.shape for name, array in base.items() if name.startswith(CRITICS)
     }
 
 

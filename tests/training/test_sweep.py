@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import weakref
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,30 +10,30 @@ from typing import Any
 import minari
 import numpy as np
 import pytest
-from tiny_training import SETTLING, TINY
+from tiny_training import TINY
 
 from imujoco_minari.cli.training import describe_trained
-from imujoco_minari.envs.registration import make
 from imujoco_minari.errors import PolicyError, PolicyNotFoundError, TrainingError
 from imujoco_minari.policies import expert_actor, expert_record, expert_variants, policies_folder
-from imujoco_minari.policies.evaluation import evaluate
+from imujoco_minari.policies.evaluation import Evaluation, evaluate
+from imujoco_minari.policies.references import CONFIRMING_SEED, ladder
 from imujoco_minari.publishing.publisher import publish
-from imujoco_minari.training import ladder, sweep
+from imujoco_minari.training import selection, sweep
 from imujoco_minari.training.agents import (
-    actor_arrays,
+    STARTING,
     actor_of,
+    actor_weights,
     agent_actor,
     agent_arrays,
-    forget_compiled,
     load_arrays,
     make_agent,
     restore_agent,
     save_arrays,
 )
 from imujoco_minari.training.hyperparameters import SCRATCH, WARM, hyperparameters
-from imujoco_minari.training.ladder import Ladder
 from imujoco_minari.training.plan import Plan
-from imujoco_minari.training.run import CHOOSING_SEED, CONFIRMING_SEED, Run
+from imujoco_minari.training.run import Run
+from imujoco_minari.training.selection import CHOOSING_SEED, Look
 from imujoco_minari.training.sweep import Trained, train, train_all
 from imujoco_minari.training.task import Task
 from imujoco_minari.variants import Variant
@@ -42,44 +41,53 @@ from imujoco_minari.variants import Variant
 BASE = Variant.parse("hopper-base")
 LIGHT_LEG = Variant.parse("hopper-massdec_25_leggeom")
 
-pytestmark = [
-    pytest.mark.filterwarnings("ignore::DeprecationWarning"),
-    pytest.mark.usefixtures("kept_compiled"),
-]
-
-
-@pytest.fixture
-def quick_ladder(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Measure rungs in one episode, and leave out the runs that give variants a medium rung."""
-    monkeypatch.setattr(Ladder, "climb", lambda *arguments: None)
-    monkeypatch.setattr(ladder, "LADDER_EPISODES", 1)
-    monkeypatch.setattr(ladder, "MEDIUM_EPISODES", 1)
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
 
 def test_a_killed_run_ends_in_the_weights_of_one_that_was_not(tmp_path: Path) -> None:
-    task = Task(LIGHT_LEG, hyperparameters("hopper", WARM, **SETTLING))
+    task = Task(LIGHT_LEG, hyperparameters("hopper", WARM, **TINY | {"settling_from": 0.5}))
     whole = Run(task, tmp_path / "whole")
-    record = whole.train()
+    whole.train()
     broken = Run(task, tmp_path / "broken")
     # Killed after the third of four intervals, before the rate falls: what is left is on the disk.
     for _ in range(3):
         broken.train_interval()
     resumed = Run(task, tmp_path / "broken")
     assert resumed.progress.steps == broken.progress.steps >= 250
-    again = resumed.train()
+    resumed.train()
     ours, theirs = (load_arrays(tmp_path / name / "checkpoint.safetensors") for name in ("whole", "broken"))
     assert set(ours) == set(theirs)
     differing = [name for name in ours if name != "progress" and not np.array_equal(ours[name], theirs[name])]
     assert differing == []
-    assert again["weights_sha256"] == record["weights_sha256"]
-    assert again["evaluation"] == record["evaluation"]
+    records = [run.make_record() | {"wall_seconds": 0} for run in (whole, resumed)]
+    assert records[0] == records[1]
 
 
-def test_a_start_that_reaches_the_target_is_the_expert(tmp_path: Path, quick_ladder: None) -> None:
+@pytest.mark.parametrize("better", [False, True])
+def test_the_better_of_own_and_folded_is_the_expert(
+    better: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unlisted = Variant.parse("hopper-massdec_26_leggeom")
+    monkeypatch.setattr(sweep, "folded_score", lambda *_: -1e9 if better else 1e9)
+    plan = Plan(tmp_path / "state", changes=TINY, target=1e9)
+    (outcome,) = train_all([unlisted], plan)
+    assert (outcome.created, outcome.error) == (better, "")
+    assert ("steps" in expert_record(unlisted)) == better
+    assert bool(outcome.tried) == (not better)
+    # Neither outcome is trained for again.
+    monkeypatch.setattr(sweep, "Run", lambda *_, **__: pytest.fail("it is trained again"))
+    (again,) = train_all([unlisted], plan)
+    assert not again.created
+    assert again.record["weights_sha256"] == outcome.record["weights_sha256"]
+    assert bool(again.tried) == bool(outcome.tried)
+
+
+def test_a_folded_start_that_reaches_the_target_stays(tmp_path: Path) -> None:
     unlisted = Variant.parse("hopper-massdec_26_leggeom")
     (outcome,) = train_all([unlisted], Plan(tmp_path / "state", changes=TINY, target=-1e9))
-    assert (outcome.created, outcome.error) == (True, "")
-    assert expert_record(unlisted)["steps_trained"] == 0
+    assert (outcome.created, outcome.error) == (False, "")
+    assert (outcome.tried["start"], outcome.tried["steps_trained"]) == ("universal policy", 0)
+    assert not list(policies_folder().glob(f"{unlisted}*"))
 
 
 def test_a_variant_is_trained_from_its_base_and_published(tmp_path: Path, unshipped: None) -> None:
@@ -99,9 +107,12 @@ def test_a_variant_is_trained_from_its_base_and_published(tmp_path: Path, unship
     assert actor.sha256 == record["weights_sha256"]
     measured = evaluate(LIGHT_LEG, actor, episodes=3, seed=CONFIRMING_SEED)
     assert measured.asdict() == record["evaluation"]
-    assert [rung["steps"] for rung in record["ladder"] if "run" not in rung] == [
+    # Its ladder is that of its robot, measured when a tier first needs it.
+    assert "ladder" not in record
+    assert {rung["steps"] for rung in ladder(LIGHT_LEG)} == {
         rung["steps"] for rung in expert_record(BASE)["ladder"]
-    ]
+    }
+    assert expert_record(LIGHT_LEG)["ladder"]
     # A finished one is never trained again.
     before = sorted((path.name, path.stat().st_mtime_ns) for path in policies_folder().iterdir())
     assert [outcome.created for outcome in train_all([LIGHT_LEG, BASE], plan)] == [False, False]
@@ -121,9 +132,8 @@ def test_a_variant_is_trained_from_its_base_and_published(tmp_path: Path, unship
         assert improved.record["before"]["weights_sha256"] == outcomes[0].record["weights_sha256"]
         assert improved.record["before"]["evaluation"] == outcomes[0].record["evaluation"]
         assert improved.record["start_sha256"] == outcomes[0].record["weights_sha256"]
-    # An improved base keeps its first ladder, and may add to it.
-    rungs = [{rung["steps"] for rung in r["ladder"]} for r in (outcomes[0].record, expert_record(BASE))]
-    assert rungs[0] <= rungs[1]
+    # An improved base keeps its first ladder.
+    assert expert_record(BASE)["ladder"] == outcomes[0].record["ladder"]
     assert not (tmp_path / "state" / "hopper-base").exists()
     published = publish(LIGHT_LEG, episodes=3)
     metadata = minari.load_dataset(published.dataset_id).storage.metadata
@@ -134,19 +144,25 @@ def test_a_variant_is_trained_from_its_base_and_published(tmp_path: Path, unship
 
 def test_an_agent_is_restored_whole_or_refused_on_a_device_that_is_there(tmp_path: Path) -> None:
     settings = hyperparameters("hopper", WARM, **TINY)
-    agent = make_agent(make(BASE), settings, seed=1)
+    agent = make_agent(11, 3, settings, seed=1)
     save_arrays(tmp_path / "agent.safetensors", agent_arrays(agent))
-    other = make_agent(make(BASE), settings, seed=2, device="cpu")
+    other = make_agent(11, 3, settings, seed=2, device="cpu")
     arrays = load_arrays(tmp_path / "agent.safetensors")
     restore_agent(other, arrays)
     assert {name: array.tobytes() for name, array in agent_arrays(other).items()} == {
         name: array.tobytes() for name, array in arrays.items()
     }
+    # A new run takes the weights, and begins with optimisers of its own.
+    third = make_agent(11, 3, settings, seed=3)
+    restore_agent(third, arrays, STARTING)
+    same = {name for name, array in agent_arrays(third).items() if np.array_equal(array, arrays[name])}
+    assert same >= {name for name in arrays if name.startswith(STARTING)}
+    assert "key" not in same
     name = "actor/params/Dense_1/kernel"
     with pytest.raises(PolicyError, match=f"does not fit: {name}"):
         restore_agent(other, arrays | {name: arrays[name][1:]})
     with pytest.raises(TrainingError, match=r"no device 'abacus' here; valid: .*cpu"):
-        make_agent(make(BASE), settings, seed=0, device="abacus")
+        make_agent(11, 3, settings, seed=0, device="abacus")
 
 
 def test_two_processes_do_not_train_one_variant(tmp_path: Path) -> None:
@@ -168,10 +184,20 @@ def test_a_variant_without_a_base_agent_says_what_to_train_first(tmp_path: Path,
         train(LIGHT_LEG, Plan(tmp_path / "state"))
 
 
-def test_a_run_settles_and_frees_its_agent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("imujoco_minari.training.run.forget_compiled", forget_compiled)
-    changes = SETTLING | {"max_steps": 450, "settling_rate": 0.0}
-    run = Run(Task(LIGHT_LEG, hyperparameters("hopper", WARM, **changes)), tmp_path)
+def test_the_rate_falls_by_a_cosine_from_the_middle_to_the_end() -> None:
+    settings = hyperparameters("hopper", SCRATCH, max_steps=1000, settling_rate=1e-4)
+    rates = [settings.rate(steps) for steps in (0, 500, 625, 750, 875, 1000, 1100)]
+    assert rates[:2] == [1e-3, 1e-3]
+    assert rates[3] == pytest.approx(5.5e-4)
+    assert rates[2] - rates[3] == pytest.approx(rates[3] - rates[4])
+    assert rates[5] == rates[6] == pytest.approx(1e-4)
+
+
+def test_a_run_settles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        type(hyperparameters("hopper", WARM)), "rate", lambda settings, steps: 1e-3 * (steps < 260)
+    )
+    run = Run(Task(BASE, hyperparameters("hopper", WARM, **TINY | {"max_steps": 450})), tmp_path)
     steps = [0]
     while not run.finished:
         run.train_interval()
@@ -182,10 +208,40 @@ def test_a_run_settles_and_frees_its_agent(tmp_path: Path, monkeypatch: pytest.M
     )
     # At a rate of nothing, nothing is learnt.
     assert all(np.array_equal(settled[name], after[name]) for name in settled)
-    assert not all(np.array_equal(learning[name], settled[name]) for name in settled)
-    agent = weakref.ref(run._agent)
+    assert all(np.array_equal(learning[name], settled[name]) for name in settled)
+    first = actor_weights(Run(run.task, tmp_path / "other")._agent)
+    assert not all(np.array_equal(first[name].astype(np.float16), after[name]) for name in after)
     run.close()
-    assert agent() is None
+
+
+def test_the_averaged_weights_are_another_candidate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("imujoco_minari.training.run._AVERAGED_CALLS", 1)
+    run = Run(Task(BASE, hyperparameters("hopper", SCRATCH, **TINY, average=0.9)), tmp_path)
+    begun = {name: array.copy() for name, array in run._average.items()}
+    for _ in range(3):
+        run.train_interval()
+    present, name = actor_weights(run._agent), "mu.weight"
+    # Five calls of the update loop, each of which moves the average a tenth of the way.
+    assert run.progress.updates == 45
+    moved = np.linalg.norm(run._average[name] - begun[name])
+    assert 0.1 < moved / np.linalg.norm(present[name] - begun[name]) < 0.5
+    # From here on the average stays what it is.
+    monkeypatch.setattr("imujoco_minari.training.run._AVERAGED_CALLS", 10**9)
+    monkeypatch.setattr(run, "_average", {key: 0 * array for key, array in begun.items()})
+    monkeypatch.setattr(
+        selection,
+        "evaluate",
+        lambda env, actor, episodes, seed: _evaluation(0.0 if actor.weights[name].any() else 9e3, episodes),
+    )
+    run.train_interval()
+    assert run.progress.evaluations[-1]["best"] == "average"
+    assert not any(array.any() for array in load_arrays(tmp_path / "best.safetensors").values())
+    assert not agent_actor(load_arrays(tmp_path / "best-agent.safetensors"))[name].any()
+    run.close()
+
+
+def _evaluation(value: float, episodes: int) -> Evaluation:
+    return Evaluation(np.full(episodes, value), np.ones(episodes), (), 0, True)
 
 
 def test_a_near_start_is_held_to_what_it_began_as(tmp_path: Path) -> None:
@@ -198,7 +254,7 @@ def test_a_near_start_is_held_to_what_it_began_as(tmp_path: Path) -> None:
         run = Run(replace(task, settings=settings, target=1e9), tmp_path / str(alpha))
         for _ in range(4):
             run.train_interval()
-        actor = actor_of(actor_arrays(run._agent), "hopper")
+        actor = actor_of(actor_weights(run._agent), "hopper")
         run.close()
         return float(np.abs(actor.act(seen, np.random.default_rng(0)) - begun).mean())
 
@@ -212,17 +268,19 @@ def test_an_actor_that_seems_the_best_is_looked_at_longer(
     run = Run(task, tmp_path)
     looks: list[int] = []
 
-    def evaluate(run: Run, arrays: Any, episodes: int, seed: int) -> dict[str, Any]:
+    def looked(task: Task, arrays: Any, episodes: int, seed: int) -> Look:
         looks.append(episodes)
         # Better and better in two episodes. In the third it falls, so the lowest return is 30 below the mean.
         mean, low = {1: (50.0, 50.0), 2: (50.0 + len(looks), 50.0), 3: (55.0, 25.0)}[episodes]
-        return {"return_mean": mean, "return_min": low, "episodes": episodes, "seed": seed}
+        return Look({"return_mean": mean, "return_min": low}, mean, (mean + low) / 2)
 
-    monkeypatch.setattr(Run, "_evaluate", evaluate)
+    for module in ("selection", "run"):
+        monkeypatch.setattr(f"imujoco_minari.training.{module}.look", looked)
     # Two intervals only explore.
     for _ in range(4):
         run.train_interval()
-    assert looks == [1, 2, 3] * 2
+    # Two evaluations of present and averaged weights. Only the first is better than the best.
+    assert looks == [1, 2, 3] * 4
     assert run.progress.best_score == 40.0
     assert run.progress.best_steps == 260
     run.close()
@@ -231,7 +289,8 @@ def test_an_actor_that_seems_the_best_is_looked_at_longer(
 def test_a_run_that_ends_before_its_first_update_has_an_actor(tmp_path: Path) -> None:
     settings = hyperparameters("hopper", SCRATCH, **TINY | {"max_steps": 1})
     run = Run(Task(BASE, settings), tmp_path)
-    record = run.train()
+    run.train()
+    record = run.make_record()
     run.close()
     assert record["updates"] == 0
     assert record["evaluation"]["return_mean"] > 0
@@ -241,9 +300,9 @@ def test_a_score_below_zero_is_improved(tmp_path: Path, monkeypatch: pytest.Monk
     run = Run(Task(BASE, hyperparameters("hopper", SCRATCH, **TINY)), tmp_path)
     # The last mean is worth no second look.
     for value, best in ((-100.0, -100.0), (-99.0, -99.0), (-101.5, -99.0)):
-        found = {"return_mean": value, "return_min": value}
-        monkeypatch.setattr(Run, "_evaluate", lambda *_, found=found: found)
-        run._evaluate_actor(0.0)
+        found = _evaluation(value, 1)
+        monkeypatch.setattr(selection, "evaluate", lambda *_, found=found, **__: found)
+        run._evaluate(0.0)
         assert run.progress.best_score == best
     run.close()
 
