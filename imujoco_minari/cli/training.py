@@ -165,10 +165,10 @@ def _teller(quiet: bool) -> OnInterval:
         if quiet or last.get("steps") != state.steps:
             return
         steps_left = max(0, task.settings.max_steps - state.steps)
-        left = steps_left * state.wall_seconds / max(1, state.steps)
+        left = f", at most {steps_left * state.wall_seconds / state.steps / 60:.0f} left" if state.steps else ""
         say(
             f"{state.steps:>9,} steps  {_found(last)}  best score {state.best_score:8.6g}"
-            f"  {state.wall_seconds / 60:6.1f} min, at most {left / 60:.0f} left"
+            f"  {state.wall_seconds / 60:6.1f} min{left}"
         )
 
     return tell
