@@ -7,7 +7,7 @@ this package: see :func:`~imujoco_minari.benchmark.few_shot.run_few_shot`.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from importlib import import_module
 from typing import Any, Protocol
@@ -69,14 +69,17 @@ class ExpertBound:
         return expert_actor(Variant.parse(demonstrations.table[0].variant))
 
 
+@dataclass
 class UniversalBound:
     """What knowing the body is worth: the robot's universal policy, which is told the body.
 
     It was trained online, in many variants, the held-out ones among them. No method has that.
     """
 
-    def __init__(self, seed: int) -> None:
-        self.seed = seed
+    seed: int
+    policies: tuple[str, ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
         found = {robot: universal_policy(robot) for robot in ROBOTS}
         self.policies = tuple(f"{robot} {policy.sha256}" for robot, policy in found.items() if policy)
 

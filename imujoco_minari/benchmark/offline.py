@@ -38,6 +38,7 @@ from imujoco_minari.loading import Arrays, arrays
 from imujoco_minari.policies.tiers import LARGE_TIERS
 from imujoco_minari.policies.universal import UniversalPolicy, whole_context
 from imujoco_minari.publishing.recipes import Recipe
+from imujoco_minari.short_repr import short_repr
 from imujoco_minari.storage import minari_root
 from imujoco_minari.storage.metadata import read_metadata
 from imujoco_minari.variants import ROBOTS, Variant, held_out
@@ -158,6 +159,8 @@ class OfflineGrid:
     updates: int = UPDATES
     episodes: int = EVALUATION_EPISODES
     across: bool = False
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         tiers = (SHIFTED_TIER,) if self.across else ALL_TIERS

@@ -5,13 +5,14 @@ A published protocol is never changed: a better one gets a new name. Every numbe
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imujoco_minari.errors import BenchmarkChoiceError, BenchmarkError, clipped
+from imujoco_minari.errors import BenchmarkChoiceError, BenchmarkError, clipped, suggestion
 from imujoco_minari.loading import STEP_ARRAYS, Arrays
 from imujoco_minari.variants import HeldOut
 
@@ -119,3 +120,22 @@ def _windows(data: Arrays, starts: NDArray[Any], lengths: NDArray[Any]) -> Array
     )
     cut = {name: getattr(data, name)[rows] for name in STEP_ARRAYS}
     return replace(data, episode_starts=np.cumsum(lengths) - lengths, **cut)
+
+
+def holding_out(variants: Sequence[str], splits: Sequence[HeldOut]) -> list[HeldOut]:
+    """Return the splits that hold variants out, with each variant in the first split that does.
+
+    Raises:
+        BenchmarkChoiceError: if no split holds one of them out.
+    """
+    found, left = [], list(dict.fromkeys(variants))
+    for split in splits:
+        held = tuple(variant for variant in left if variant in split.test)
+        left = [variant for variant in left if variant not in held]
+        if held:
+            found.append(replace(split, test=held))
+    if left:
+        names = ", ".join(split.name for split in splits)
+        near = suggestion(left[0], [variant for split in splits for variant in split.test])
+        raise BenchmarkChoiceError(f"{left[0]} is held out in none of {names}{near}")
+    return found

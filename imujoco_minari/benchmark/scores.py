@@ -21,6 +21,7 @@ from imujoco_minari.benchmark import offline, protocol
 from imujoco_minari.benchmark.lines import Line, policies_sha256
 from imujoco_minari.benchmark.methods import COMPARISONS, METHODS
 from imujoco_minari.policies.aggregates import bootstrap_interval, interquartile_mean
+from imujoco_minari.short_repr import short_repr
 from imujoco_minari.variants import BASE, Variant, catalogue
 
 ALL = "all"
@@ -73,6 +74,8 @@ class MethodScore:
     error: float
     variants: int
     runs: int
+
+    __repr__ = short_repr
 
     @property
     def interval(self) -> Interval:

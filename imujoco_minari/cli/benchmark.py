@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,8 +15,8 @@ from imujoco_minari.cli.app import advancing, app
 from imujoco_minari.cli.estimates import plan, publishing_line, time_text
 from imujoco_minari.cli.options import AsJson, DryRun, Jobs, Output, Tiers, argument, option
 from imujoco_minari.cli.printing import counted, out, print_json, print_table, progress, say
-from imujoco_minari.errors import BenchmarkChoiceError, BenchmarkError, suggestion
-from imujoco_minari.variants import EXPERT, ROBOTS, HeldOut, held_out, parse_dataset_id
+from imujoco_minari.errors import BenchmarkError
+from imujoco_minari.variants import EXPERT, ROBOTS, held_out, parse_dataset_id
 
 if TYPE_CHECKING:
     from imujoco_minari.benchmark.few_shot import FewShotGrid
@@ -52,19 +51,14 @@ def few_shot(
     ] = None,
     seeds: Seeds = None,
     settings: Annotated[
-        list[str] | None,
-        typer.Option("--setting", metavar="NAME=VALUE", help="A setting of the methods; may be repeated."),
+        list[str] | None, option("--setting NAME=VALUE", "A setting of the methods; may be repeated.")
     ] = None,
     demonstrations: Annotated[
         str | None,
-        typer.Option(
-            "--demonstrations",
-            metavar="TIER",
-            help="Another tier of the demonstrations, as of other experts.",
-        ),
+        option("--demonstrations TIER", "Another tier of the demonstrations, as of other experts."),
     ] = None,
     validation: Annotated[
-        bool, typer.Option("--validation", help="Hold out every fifth training variant instead.")
+        bool, option("--validation", "Hold out every fifth training variant instead.")
     ] = False,
     jobs: Jobs = 1,
     output: Output = None,
@@ -88,7 +82,7 @@ def few_shot(
     """
     from imujoco_minari.benchmark.few_shot import FewShotGrid, run_few_shot
     from imujoco_minari.benchmark.methods import BOUNDS, METHODS, find_method, with_settings
-    from imujoco_minari.benchmark.protocol import SEEDS, Budget, validation_split
+    from imujoco_minari.benchmark.protocol import SEEDS, Budget, holding_out, validation_split
     from imujoco_minari.benchmark.scores import few_shot_scores
 
     # A method of your own is imported from the current folder.
@@ -98,7 +92,7 @@ def few_shot(
     if validation:
         chosen = [validation_split(split) for split in chosen]
     if variants and not splits:
-        chosen = _holding_out(variants, chosen)
+        chosen = holding_out(variants, chosen)
     grid = FewShotGrid(
         {name: with_settings(find_method(name), settings or ()) for name in methods or METHODS},
         chosen,
@@ -128,7 +122,7 @@ def offline(
     output: Output = None,
     dry_run: DryRun = False,
     across: Annotated[
-        bool, typer.Option("--across", help="Learn from all training variants of the random splits.")
+        bool, option("--across", "Learn from all training variants of the random splits.")
     ] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -174,12 +168,7 @@ def offline(
 
 
 @benchmark.command()
-def reproduce(
-    seeds: Seeds = None,
-    jobs: Jobs = 1,
-    output: Output = None,
-    as_json: AsJson = False,
-) -> None:
+def reproduce(seeds: Seeds = None, jobs: Jobs = 1, output: Output = None, as_json: AsJson = False) -> None:
     """Repeat the published comparison of MAML and fine-tuning on HalfCheetah.
 
     It prints the relative errors of the actions beside the published ones. Each method and seed becomes a
@@ -263,25 +252,6 @@ def page(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = Fals
         print_json({"files": [str(file) for file in files]})
         return
     out.print(f"wrote {counted(len(files), 'file')} to {target}")
-
-
-def _holding_out(variants: Sequence[str], splits: Sequence[HeldOut]) -> list[HeldOut]:
-    """Return the splits that hold variants out, with each variant in the first split that does.
-
-    Raises:
-        BenchmarkChoiceError: if no split holds one of them out.
-    """
-    found, left = [], list(dict.fromkeys(variants))
-    for split in splits:
-        held = tuple(variant for variant in left if variant in split.test)
-        left = [variant for variant in left if variant not in held]
-        if held:
-            found.append(replace(split, test=held))
-    if left:
-        names = ", ".join(split.name for split in splits)
-        near = suggestion(left[0], [variant for split in splits for variant in split.test])
-        raise BenchmarkChoiceError(f"{left[0]} is held out in none of {names}{near}")
-    return found
 
 
 def _say_cost(

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 def publish_datasets(
     choice: VariantChoice,
     tiers: options.Tiers = None,
-    episodes: options.Episodes = 100,
+    episodes: options.EpisodeCount = 100,
     seed: options.Seed = 0,
     policy: options.PolicyFile = None,
     stochastic: Annotated[

@@ -29,7 +29,7 @@ def import_archive_command(
     recollect: Annotated[
         bool, option("--recollect", "Roll out the archive's policies in its models.")
     ] = False,
-    episodes: options.Episodes = 100,
+    episodes: options.EpisodeCount = 100,
     seed: options.Seed = 0,
     columns: options.Columns = None,
     force: options.Force = False,

@@ -73,7 +73,7 @@ Tier = Annotated[str, option("--tier -t TIER", "The tier of the data.")]
 Tiers = Annotated[list[str] | None, option("--tier -t TIER", "A tier; may be repeated. [default: expert]")]
 
 # How to work.
-Episodes = Annotated[int, option("--episodes -n N", "Number of episodes.", min=1, max=1_000_000)]
+EpisodeCount = Annotated[int, option("--episodes -n N", "Number of episodes.", min=1, max=1_000_000)]
 Seed = Annotated[int, option("--seed -s N", "Seed of everything that is random.", min=0)]
 Columns = Annotated[
     str | None,

@@ -54,7 +54,7 @@ def transfer(
     policies: Annotated[
         list[Path] | None, option("--policy FILE", "A .zip or .safetensors; may be repeated.")
     ] = None,
-    episodes: options.Episodes = 5,
+    episodes: options.EpisodeCount = 5,
     seed: options.Seed = 0,
     jobs: options.Jobs = 1,
     output: options.Output = None,

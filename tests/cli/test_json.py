@@ -104,7 +104,9 @@ def prepared(small_datasets: list[str], tmp_path: Path, monkeypatch: pytest.Monk
         "imujoco_minari.remotes.pull_all", lambda ids, remote, **_: iter([Pulled(ids[0], remote)])
     )
     monkeypatch.setattr(builder, "build", lambda folder, *_, **__: builder.Built(folder, 1, 1, {}))
-    monkeypatch.setattr("imujoco_minari.pictures.rendering.render_motions", lambda *_, **__: None)
+    monkeypatch.setattr(
+        "imujoco_minari.pictures.rendering.render_motions", lambda _, target, *__, **___: target.touch()
+    )
 
 
 def commands() -> list[str]:
@@ -160,7 +162,7 @@ def test_a_batch_that_stops_keeps_its_results(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def stop(recipes: Any, **_: Any) -> Iterator[publisher.Published]:
-        yield publisher.Published(recipes[0].dataset_id, Path("x"), True)
+        yield publisher.Published(recipes[0].dataset_id, Path("x"), created=True)
         raise JobError("the cluster is gone")
 
     monkeypatch.setattr(publisher, "publish_all", stop)

@@ -451,6 +451,8 @@ def test_few_shot_scores_stand_on_the_pages_of_their_variants(
         "split": "hopper-extremes-v1",
         "budget": "5x100",
         "protocol": "p",
+        "settings": {},
+        "versions": {},
     }
     returns = {"0": {"returns": [100.0, 200.0], "error": 1.0}, "25": {"returns": [300.0], "error": 1.0}}
     lines = [

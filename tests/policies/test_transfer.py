@@ -53,13 +53,13 @@ def policies() -> dict[str, Policy]:
 def evaluated(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
     """The cells that are really evaluated."""
     cells: list[tuple[str, str]] = []
-    inner = module._evaluate_cell
+    inner = module._Cell.evaluate
 
     def count(cell: Any) -> Any:
         cells.append((cell.policy_name, str(cell.variant)))
         return inner(cell)
 
-    monkeypatch.setattr(module, "_evaluate_cell", count)
+    monkeypatch.setattr(module._Cell, "evaluate", count)
     return cells
 
 

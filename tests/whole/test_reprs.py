@@ -166,7 +166,7 @@ def test_benchmark() -> None:
         FewShotGrid(METHODS, [held_out(name) for name in held_out_names("hopper")]),
         MethodScore(
             *("hopper-friction-v1", "expert", "base-expert", "5x100", 2000, "own-expert"),
-            *(1 / 3, 1 / 3, 1 / 3, 1 / 3, 154, 5),
+            *(1 / 3, 1 / 3, 1 / 3, 1 / 3, 1 / 3, 1 / 3, 154, 5),
         ),
     ):
         assert_short(shown)
