@@ -164,10 +164,10 @@ def _teller(quiet: bool) -> OnInterval:
         last = state.evaluations[-1] if state.evaluations else {}
         if quiet or last.get("steps") != state.steps:
             return
-        steps_left = max(0, task.settings.max_steps - state.steps)
-        left = (
-            f", at most {steps_left * state.wall_seconds / state.steps / 60:.0f} left" if state.steps else ""
-        )
+        left = ""
+        if state.steps:
+            steps_left = max(0, task.settings.max_steps - state.steps)
+            left = f", at most {steps_left * state.wall_seconds / state.steps / 60:.0f} left"
         say(
             f"{state.steps:>9,} steps  {_found(last)}  best score {state.best_score:8.6g}"
             f"  {state.wall_seconds / 60:6.1f} min{left}"
