@@ -111,7 +111,7 @@ def test_a_fixed_robot_is_listed_published_and_combined(robot: str, folder: Path
 def test_a_fixed_robot_is_trained(folder: Path, tmp_path: Path) -> None:
     pytest.importorskip("sbx")
     imujoco_minari.load_catalogue(folder)
-    changes = {"max_steps": 60, "evaluate_every": 30, "exploration_steps": 20, "settling_steps": 0}
+    changes = {"max_steps": 60, "evaluate_every": 30, "exploration_steps": 20}
     episodes = dict.fromkeys((f"{kind}_episodes" for kind in ("choosing", "deciding", "confirming")), 1)
     plan = Plan(tmp_path / "state", tmp_path / "policies", changes=changes | episodes)  # type: ignore[arg-type]
     assert train(Variant("arm"), plan).created
