@@ -74,10 +74,6 @@ class _Cell(NamedTuple):
         model = mjcf_sha256(canonical_mjcf(self.variant))
         return f"{self.policy.sha256} {self.policy.deterministic} {model} {self.episodes} {self.seed}"
 
-    def evaluate(self) -> Evaluation:
-        """Evaluate the policy on the variant."""
-        return evaluate(self.variant, self.policy, episodes=self.episodes, seed=self.seed)
-
     def evaluation(self, row: Mapping[str, Any]) -> Evaluation:
         """Return the result from its row of the state file."""
         returns, lengths = np.array(row["returns"]), np.array(row["lengths"])
@@ -159,7 +155,7 @@ def evaluate_transfer(
             on_cell()
         else:
             missing.append(cell)
-    for number, result in run_jobs(_Cell.evaluate, missing, jobs=jobs):
+    for number, result in run_jobs(_evaluate_cell, missing, jobs=jobs):
         cell = missing[number]
         if isinstance(result, JobError):
             raise TransferError(f"{cell.policy_name} on {cell.variant}: {result}")
@@ -190,6 +186,10 @@ def write_csv(transfer: Transfer, path: Path) -> None:
             numbers = [evaluation[name] for name in COLUMNS[3:]]
             writer.writerow([policy, str(variant), variant.category, *numbers])
     write_text(path, text.getvalue())
+
+
+def _evaluate_cell(cell: _Cell) -> Evaluation:
+    return evaluate(cell.variant, cell.policy, episodes=cell.episodes, seed=cell.seed)
 
 
 def _read_state(state: Path) -> dict[str, dict[str, Any]]:
