@@ -53,7 +53,7 @@ def test_a_collection_refuses_strangers() -> None:
     [
         (
             {"varient": "hopper-base"},
-            "unknown option of a reset 'varient' .did you mean 'variant'.; valid: variant",
+            "unknown option of a reset 'varient' .*'variant'.*; valid: variant",
         ),
         ("hopper-base", "are a dict.*not 'hopper-base'"),
     ],
