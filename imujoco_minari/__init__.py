@@ -92,8 +92,8 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """Return all names, also those that are imported when they are first used."""
-    return sorted({*globals(), *__all__})
+    """Return the public names, also those that are imported when they are first used."""
+    return sorted({*filter(lambda name: name.startswith("__"), globals()), "__version__", *__all__})
 
 
 register_catalogue()

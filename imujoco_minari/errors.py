@@ -113,6 +113,10 @@ class RenderingError(ImujocoError, RuntimeError):
     """A picture or a video that cannot be drawn or written."""
 
 
+class RenderingFormatError(NotFoundError, RenderingError):
+    """A file ending that pictures and videos do not have."""
+
+
 class RemoteError(ImujocoError, ConnectionError):
     """A remote that is malformed, cannot be reached, or refuses."""
 

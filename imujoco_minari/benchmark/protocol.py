@@ -101,7 +101,8 @@ def draw_demonstrations(data: Arrays, budget: Budget, seed: int) -> tuple[Arrays
     shares[0] = 0.0
     if budget.count >= data.episodes:
         raise BenchmarkError(
-            f"{variant} has {data.episodes} episodes; {budget} and a query need {budget.count + 1}"
+            f"{variant} has {data.episodes} episodes; the budget {budget} needs {budget.count + 1}: "
+            f"{budget.count} to demonstrate, and one to measure the error of the actions on"
         )
     chosen = data.select(order[: budget.count])
     query = data.select(order[max(budget.count, data.episodes - QUERY_EPISODES) :])

@@ -20,6 +20,7 @@ import numpy as np
 from imujoco_minari.benchmark import offline, protocol
 from imujoco_minari.benchmark.lines import Line, policies_sha256
 from imujoco_minari.benchmark.methods import COMPARISONS, METHODS
+from imujoco_minari.errors import BenchmarkError
 from imujoco_minari.policies.aggregates import bootstrap_interval, interquartile_mean
 from imujoco_minari.short_repr import short_repr
 from imujoco_minari.variants import BASE, Variant, catalogue
@@ -154,8 +155,17 @@ def in_order(methods: set[str], known: Iterable[str] = METHODS) -> list[str]:
 
 
 def normalised_mean(returns: Sequence[float], references: Sequence[float]) -> float:
-    """Return the mean of returns on the scale where the references are 0 and 1."""
+    """Return the mean of returns on the scale where the references are 0 and 1.
+
+    Raises:
+        BenchmarkError: if the references are equal.
+    """
     low, high = references
+    if low == high:
+        raise BenchmarkError(
+            f"a line of results cannot be scored: both of its references are {low}; delete the line, and run "
+            "its cell again"
+        )
     return (float(np.mean(returns)) - low) / (high - low)
 
 

@@ -136,7 +136,8 @@ def few_shot_fault(line: Mapping[str, Any]) -> list[str]:
     split, tier, variant = line["split"], line["tier"], line["variant"]
     published = _published()[protocol.NAME]
     if f"{split} {tier}" not in published["train"] or variant not in held_out(split).test:
-        return [f"no results of {_shown(variant)} in {_shown(split)}, {_shown(tier)}, are published"]
+        which = f"{_shown(variant)} in the split {_shown(split)} with the tier {_shown(tier)}"
+        return [f"the published results do not have {which}"]
     own, train = published["variants"][f"{variant} {tier}"], published["train"][f"{split} {tier}"]
     found = [*_versions(line), *_same(line, own)]
     if line["train_sha256"] not in ("", train):
@@ -150,7 +151,8 @@ def offline_fault(line: Mapping[str, Any]) -> list[str]:
         return found
     own = _published()[offline.NAME].get(f"{line['robot']} {line['tier']}")
     if own is None:
-        return [f"no results of {_shown(line['robot'])}, {_shown(line['tier'])}, are published"]
+        which = f"the tier {_shown(line['tier'])} of {_shown(line['robot'])}"
+        return [f"the published results do not have {which}"]
     found = [*_versions(line), *_same(line, own)]
     for key in ("variants", "checkpoints"):
         if line[key] != own[key]:

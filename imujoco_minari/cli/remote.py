@@ -42,11 +42,15 @@ def push_datasets(
     `imujoco push --all --with-base --with-collections --dry-run`
     """
     from imujoco_minari.remotes import collections_of, plan_push, push_all
+    from imujoco_minari.remotes.connecting import parse_address
 
     chosen = choice.datasets()
     if with_collections:
         chosen += collections_of(chosen)
     if dry_run:
+        # A dry run needs no remote, but one that is given must be valid.
+        if remote is not None:
+            parse_address(remote)
         planned = list(plan_push(chosen))
         if not as_json:
             say(f"{counted(len(planned), 'dataset')}: {size_text(sum(each.bytes for each in planned))}")

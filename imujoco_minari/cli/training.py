@@ -44,7 +44,7 @@ def train_variants(
     universal: Annotated[
         bool, option("--universal", "Train the universal policy of the robot in --robot instead.")
     ] = False,
-    scratch: Annotated[bool, option("--scratch", "Do not start from the base robot's agent.")] = False,
+    scratch: Annotated[bool, option("--scratch", "Do not start from another agent.")] = False,
     max_steps: Annotated[int | None, option("--max-steps N", "Environment steps at most.", min=1)] = None,
     target: Annotated[float | None, option("--target X", "Return to stop at.")] = None,
     settings: Annotated[
@@ -71,10 +71,11 @@ def train_variants(
 ) -> None:
     """Train an expert for each variant.
 
-    A variant starts from its base robot's agent, and a base robot from scratch. The variants need not be in
-    the catalogue. A killed run continues where it stopped, and a finished one is never trained again. The
-    command goes on after a failure and names the failures at the end. Policies are written to your own
-    policies folder, or to the folder --output.
+    A variant starts from the robot's universal policy or from its base robot's agent, whichever is better,
+    and a base robot starts from scratch. The variants need not be in the catalogue. A killed run continues
+    where it stopped, and a finished one is trained again only with --improve. The command goes on after a
+    failure and names the failures at the end. Policies are written to your own policies folder, or to the
+    folder --output.
 
     With --universal, one policy of the robot is trained that is told its variant. It acts in every variant
     that has no expert of its own. The best known policies are distilled into it first, which takes minutes.

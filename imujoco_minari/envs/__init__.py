@@ -50,6 +50,7 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """Return all names, also those that are imported when they are first used."""
+    """Return the public names, also those that are imported when they are first used."""
+    own = (name for name in globals() if name.startswith("__"))
     robots = (f"{specification(robot).title}VariantEnv" for robot in known_robots())
-    return sorted({*globals(), *__all__, *robots, "CollectionEnv", "RandomisedEnv"})
+    return sorted({*own, *__all__, *robots, "CollectionEnv", "RandomisedEnv"})

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from imujoco_minari.envs.registration import environment_spec
 from imujoco_minari.envs.robots import VariantEnv
-from imujoco_minari.errors import DrawingError, VariantError, suggestion
+from imujoco_minari.errors import ArgumentError, DrawingError, VariantError, clipped, suggestion, unknown
 from imujoco_minari.variants import Variant, adopt_page
 from imujoco_minari.variants.changes import plain_number
 from imujoco_minari.variants.context import changed_parameters, check_parameters, context
@@ -75,11 +75,13 @@ class DrawingEnv(gym.Env[Any, Any]):
 
         Raises:
             VariantError: if this environment has no such variant.
+            ArgumentError: if ``options`` has another key than ``variant``.
         """
+        name = _asked_for(options)
         super().reset(seed=seed)
         if seed is None:
             seed = int(self.np_random.integers(np.iinfo(np.int64).max))
-        self._show(self._choose((options or {}).get("variant"), seed))
+        self._show(self._choose(name, seed))
         observation, info = self._current.reset(seed=seed)
         return self._observed(observation), info | self._report()
 
@@ -229,6 +231,21 @@ class CollectionEnv(DrawingEnv, EzPickle):
         if name not in self._environments:
             self._environments[name] = variant_environment(name, self._models.get(name), self._kwargs)
         return self._environments[name]
+
+
+def _asked_for(options: Any) -> Any:
+    """Return the variant that the options of a reset ask for, or None."""
+    if options is None:
+        return None
+    if not isinstance(options, Mapping):
+        raise ArgumentError(
+            f'the options of a reset are a dict, as {{"variant": id}}, not {clipped(repr(options))}'
+        )
+    for key in options:
+        # Minari's collector passes its own options on.
+        if key != "variant" and not str(key).startswith("minari_"):
+            raise ArgumentError(unknown("unknown option of a reset", key, ["variant"]))
+    return options.get("variant")
 
 
 def variant_environment(name: str, mjcf: str | None, arguments: Mapping[str, Any]) -> VariantEnv:

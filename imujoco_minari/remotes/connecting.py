@@ -27,13 +27,23 @@ def connect(address: str, *, token: str | None = None, writing: bool = False) ->
         RemoteError: if the address is malformed, or a token is missing or unreadable.
         DependencyError: if the remote's package is not installed.
     """
-    match = _ADDRESS.fullmatch(address)
-    if match is None:
-        raise RemoteError(f"malformed remote {address[:80]!r}; valid: hf://<user> or gcp://<bucket>")
-    module, package = _MODULES[match["kind"]]
+    kind, name = parse_address(address)
+    module, package = _MODULES[kind]
     try:
         connect_store = import_module(f"imujoco_minari.remotes.{module}").connect
     except ImportError as error:
         raise missing_dependency(package, "remote", f"the remote {address}") from error
     with remote_errors(address):
-        return cast(Store, connect_store(match["name"], token, writing))
+        return cast(Store, connect_store(name, token, writing))
+
+
+def parse_address(address: str) -> tuple[str, str]:
+    """Return the kind of a remote, ``hf`` or ``gcp``, and the name of its user or bucket.
+
+    Raises:
+        RemoteError: if the address is malformed.
+    """
+    match = _ADDRESS.fullmatch(address)
+    if match is None:
+        raise RemoteError(f"malformed remote {address[:80]!r}; valid: hf://<user> or gcp://<bucket>")
+    return match["kind"], match["name"]

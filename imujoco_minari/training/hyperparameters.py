@@ -93,7 +93,7 @@ def hyperparameters(robot: str, start: str, **changes: Any) -> Hyperparameters:
         **changes: values that replace those of the file.
 
     Raises:
-        CatalogueError: if a key is unknown.
+        CatalogueError: if a key is unknown, or the robot's page has a value that it cannot have.
 
     Example:
         >>> hyperparameters("hopper", "warm").max_steps
@@ -106,6 +106,9 @@ def hyperparameters(robot: str, start: str, **changes: Any) -> Hyperparameters:
     unknown = sorted(set(values) - known)
     if unknown:
         raise CatalogueError(f"unknown hyperparameter {unknown[0]!r}; valid: {', '.join(sorted(known))}")
+    for name, value in own.get(start, {}).items():
+        if fault := _fault(name, value):
+            raise CatalogueError(f"the page of {robot}, [training.{start}]: {fault}")
     return Hyperparameters(**values)
 
 
@@ -133,12 +136,18 @@ def hyperparameter_changes(texts: Sequence[str]) -> dict[str, int | float]:
             changes[name] = types[name](value)
         except ValueError:
             changes[name] = -1
-        optional = name in _MAY_BE_ZERO
-        if not 0 <= changes[name] < math.inf or (changes[name] == 0 and not optional):
-            kind = "whole number" if types[name] is int else "number"
-            bound = "of at least 0" if optional else "above 0"
-            raise CatalogueError(f"cannot set {clipped(text)!r}: {name} is a {kind} {bound}")
+        if fault := _fault(name, changes[name]):
+            raise CatalogueError(f"cannot set {clipped(text)!r}: {fault}")
     return changes
+
+
+def _fault(name: str, value: int | float) -> str:
+    """Return what a hyperparameter must be, or an empty text if the value is valid."""
+    whole, optional = get_type_hints(Hyperparameters)[name] is int, name in _MAY_BE_ZERO
+    typed = isinstance(value, int) or not whole
+    if typed and 0 <= value < math.inf and (value != 0 or optional):
+        return ""
+    return f"{name} is a {'whole number' if whole else 'number'} {'of at least 0' if optional else 'above 0'}"
 
 
 @cache

@@ -33,6 +33,9 @@ _SIZE: _Kind = (
     lambda value: type(value) in (int, float) and 0 < value <= _LARGEST,
 )
 
+# The kinds of starts of a training run: see `imujoco_minari/training/hyperparameters.toml`.
+STARTS = ("scratch", "warm", "near", "improve", "universal")
+
 _ENVIRONMENT = re.compile(r"[A-Z][A-Za-z0-9]*-v5", re.ASCII)
 
 
@@ -179,7 +182,7 @@ def parse_specification(text: str, name: str) -> RobotSpecification:
         healthy_z_range=page.healthy_z_range(),
         reward=page.reward(),
         stance=page.numbers("stance"),
-        training=page.tables("training", "start, as [training.warm]"),
+        training=page.training(),
         splits=page.tables("splits", "split, as [splits.mass-v1]"),
         groups=groups,
         categories=MappingProxyType(
@@ -218,6 +221,16 @@ class _Page:
     def tables(self, key: str, item: str) -> Mapping[str, Mapping[str, Any]]:
         table = self._table(key, f"one table for each {item}", dict)
         return MappingProxyType({name: MappingProxyType(values) for name, values in table.items()})
+
+    def training(self) -> Mapping[str, Mapping[str, Any]]:
+        tables = self.tables("training", "start, as [training.warm]")
+        for start, values in tables.items():
+            if start not in STARTS:
+                raise self._error(unknown("[training] has an unknown start", start, STARTS))
+            for name, value in values.items():
+                if type(value) not in (int, float) or not 0 <= value <= _LARGEST:
+                    raise self._error(f"[training.{start}] {name} must be a number of at least 0")
+        return tables
 
     def healthy_z_range(self) -> tuple[float, float] | None:
         z_range = self._data.get("healthy_z_range")

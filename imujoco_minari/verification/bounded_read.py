@@ -94,8 +94,13 @@ def look(files: LinkedFiles, number: int) -> Episode:
         group = h5py.h5o.open(holder.id, place)
     except DatasetError as error:
         raise UnreadableError(name, str(error)) from None
-    except (OSError, KeyError) as error:
-        raise UnreadableError(name, f"refers to what cannot be read: {str(error)[:120]}") from None
+    except KeyError as error:
+        missing = error.args[0].decode("utf-8", "replace")
+        raise UnreadableError(
+            name, f"refers to {missing[:80]} of another dataset, which has no such episode"
+        ) from None
+    except OSError as error:
+        raise UnreadableError(name, f"refers to a file that cannot be opened: {str(error)[:120]}") from None
     if not isinstance(group, h5py.h5g.GroupID):
         raise UnreadableError(name, "is no group")
     if len(group) > MAX_ARRAYS:

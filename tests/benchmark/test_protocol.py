@@ -52,5 +52,7 @@ def test_budgets_are_read_as_they_are_written() -> None:
 
 
 def test_too_few_episodes_are_refused() -> None:
-    with pytest.raises(BenchmarkError, match=r"hopper-base has 2 episodes; 2x100 and a query need 3"):
+    with pytest.raises(
+        BenchmarkError, match=r"hopper-base has 2 episodes; the budget 2x100 needs 3: 2 to demonstrate"
+    ):
         draw_demonstrations(synthetic([5, 5]), Budget(2, 100), seed=0)

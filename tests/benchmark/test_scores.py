@@ -12,6 +12,7 @@ from imujoco_minari.benchmark.page import Results, results_page, sections
 from imujoco_minari.benchmark.reproduction import SHOTS, STEPS
 from imujoco_minari.benchmark.scores import few_shot_scores, offline_scores, to_csv
 from imujoco_minari.benchmark.tables import few_shot_tables
+from imujoco_minari.errors import BenchmarkError
 
 VARIANTS = ("hopper-massinc_200_leggeom", "hopper-massdec_50_leggeom", "hopper-frictiondec_50_feet")
 
@@ -175,3 +176,9 @@ def test_the_page_has_every_method_and_its_files_are_reproducible(tmp_path: Path
         for method in {method for panel in figure.panels.values() for method in panel}:
             assert method in svg
     assert len(to_csv(few_scores).splitlines()) == 1 + len(few_scores)
+
+
+def test_a_line_with_equal_references_is_named_as_such() -> None:
+    line = few_shot_line("mine", VARIANTS[0], 0, 0.5) | {"references": [7.0, 7.0]}
+    with pytest.raises(BenchmarkError, match="both of its references are"):
+        few_shot_scores([line])

@@ -70,8 +70,8 @@ def test_missing_and_repeated_cells_are_named(whole: list[dict[str, Any]], tmp_p
     ("change", "fault"),
     [
         ({"protocol": "few-shot-v2"}, "the protocol is 'few-shot-v2', not few-shot-v1"),
-        ({"split": "mine"}, "in 'mine', 'expert', are published"),
-        ({"variant": "hopper-base"}, "no results of 'hopper-base'"),
+        ({"split": "mine"}, "in the split 'mine' with the tier 'expert'"),
+        ({"variant": "hopper-base"}, "published results do not have 'hopper-base'"),
         ({"data_sha256": "0"}, "the data are not the published data"),
         ({"train_sha256": "0"}, "the training data are not the published data"),
         ({"policies_sha256": "0"}, "the experts are not those"),

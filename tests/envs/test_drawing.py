@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -11,7 +12,7 @@ from gymnasium.envs.registration import EnvSpec
 
 import imujoco_minari
 from imujoco_minari.envs import collection_spec
-from imujoco_minari.errors import DrawingError, VariantError
+from imujoco_minari.errors import ArgumentError, DrawingError, VariantError
 from imujoco_minari.variants import Variant, catalogue
 from imujoco_minari.variants.context import context
 
@@ -45,6 +46,28 @@ def test_a_collection_refuses_strangers() -> None:
 
     with pytest.raises(VariantError, match="of one robot, not of hopper, walker2d"):
         CollectionEnv(["hopper-base", "walker2d-base"])
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (
+            {"varient": "hopper-base"},
+            "unknown option of a reset 'varient' .*'variant'.*; valid: variant",
+        ),
+        ("hopper-base", "are a dict.*not 'hopper-base'"),
+    ],
+)
+def test_a_reset_refuses_options_that_it_does_not_have(options: Any, words: str) -> None:
+    env = gym.make("imujoco/hopper-mass-v0")
+    with pytest.raises(ArgumentError, match=words):
+        env.reset(options=options)
+
+
+def test_a_collector_of_minari_may_pass_its_options() -> None:
+    env = gym.make("imujoco/hopper-mass-v0")
+    name = "hopper-massdec_25_leggeom"
+    assert env.reset(options={"minari_autoseed": False, "variant": name})[1]["variant"] == name
 
 
 def test_every_step_reports_the_variant_and_its_context() -> None:

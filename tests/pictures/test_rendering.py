@@ -594,7 +594,7 @@ def test_the_command_renders_a_recorded_episode(
     [
         (["hopper-massdec_25_legeom"], 2, "did you mean"),
         (["hopper-base", "--tier", "mine", "--output", "a.png"], 2, "policy makes the tier 'mine'"),
-        (["hopper-base", "--tier", "random", "--output", "a.avi"], 1, "valid endings"),
+        (["hopper-base", "--tier", "random", "--output", "a.avi"], 2, "valid endings"),
         (["hopper-base", "--tier", "random", "--sheet", "--output", "a.gif"], 1, "give --output a .png"),
         (["hopper-base", "--tier", "random", "--output", "a.png", "--size", "big"], 1, "WIDTHxHEIGHT"),
         (["hopper-base", "--tier", "random", "--output", "a.png", "--size", "1x1"], 1, "64 to 4096"),

@@ -332,6 +332,8 @@ def test_a_dry_run_says_what_a_push_would_upload_and_uploads_nothing(
     assert output.err.startswith("2 datasets: ")
     assert f"would push {HOPPER}: " in output.out
     assert "imujoco/nothing-v0 is not in the Minari root" in output.err
+    assert run(["push", HOPPER, "--dry-run", "--remote", "s3://mine"]) == 1
+    assert "malformed remote 's3://mine'" in capsys.readouterr().err
     assert store.uploads == []
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,7 @@ from imujoco_minari.training import sweep
 from imujoco_minari.training.hyperparameters import SCRATCH, WARM, hyperparameter_changes, hyperparameters
 from imujoco_minari.training.plan import Plan
 from imujoco_minari.training.sweep import Trained
-from imujoco_minari.variants import ROBOTS, Variant
+from imujoco_minari.variants import ROBOTS, Variant, specification
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
@@ -69,3 +70,14 @@ def test_the_command_line_passes_the_changes_on(
     assert json.loads(capsys.readouterr().out)[0]["error"] == "not tried"
     assert run(["train", "hopper-base", "--set", "gama=1"]) == 1
     assert "did you mean 'gamma'" in capsys.readouterr().err
+
+
+def test_a_page_with_a_value_that_a_hyperparameter_cannot_have_is_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    page = replace(specification("hopper"), training={WARM: {"max_steps": 7.5}})
+    monkeypatch.setattr("imujoco_minari.training.hyperparameters.specification", lambda robot: page)
+    with pytest.raises(
+        CatalogueError, match=r"page of hopper, \[training.warm\]: max_steps is a whole number"
+    ):
+        hyperparameters("hopper", WARM)

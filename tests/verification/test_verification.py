@@ -423,7 +423,12 @@ class TestLinkedCollections:
 
     def test_a_source_that_is_gone(self, linked: Path, data: Path) -> None:
         shutil.rmtree(data.parent)
-        assert "cannot be read" in found(linked)
+        assert "refers to a file that cannot be opened" in found(linked)
+
+    def test_a_source_that_has_fewer_episodes_now(self, linked: Path, data: Path) -> None:
+        with h5py.File(file_format.main_file(data), "a") as file:
+            del file["episode_1"]
+        assert "refers to episode_1 of another dataset, which has no such episode" in found(linked)
 
     def test_damage_of_a_source(self, linked: Path, data: Path) -> None:
         with h5py.File(file_format.main_file(data), "a") as file:

@@ -30,6 +30,14 @@ def modules_after(code: str) -> set[str]:
     return set(done.stdout.split())
 
 
+def test_dir_lists_public_names_only() -> None:
+    for module in (imujoco_minari, imujoco_minari.envs):
+        names = [name for name in dir(module) if not name.startswith("__")]
+        assert set(module.__all__) <= set(names)
+        assert not {"Any", "TYPE_CHECKING", "annotations", "import_module", "_LAZY"} & set(names)
+        assert all(hasattr(module, name) for name in dir(module))
+
+
 def test_importing_loads_nothing_heavy() -> None:
     assert not modules_after("import imujoco_minari") & set(HEAVY)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from imujoco_minari.errors import RenderingError, missing_dependency
+from imujoco_minari.errors import RenderingFormatError, missing_dependency
 from imujoco_minari.storage.files import whole_file
 
 FORMATS = (".mp4", ".gif", ".png")
@@ -18,12 +18,12 @@ def check_format(path: Path) -> str:
     """Return the lower-case ending of ``path``.
 
     Raises:
-        RenderingError: if the ending is not one of :data:`FORMATS`.
+        RenderingFormatError: if the ending is not one of :data:`FORMATS`.
         DependencyError: if ``imageio-ffmpeg``, which writes ``.mp4``, is not installed.
     """
     ending = path.suffix.lower()
     if ending not in FORMATS:
-        raise RenderingError(f"cannot write {str(path)!r}; valid endings: {', '.join(FORMATS)}")
+        raise RenderingFormatError(f"cannot write {str(path)!r}; valid endings: {', '.join(FORMATS)}")
     if ending == ".mp4":
         try:
             import imageio_ffmpeg  # noqa: F401
