@@ -204,7 +204,8 @@ def describe_trained(outcome: Trained, plan: Plan) -> tuple[str, ...]:
         lines = ["kept", f"{variant}: {_made(outcome.record)}; not as good: {_made(outcome.tried)}"]
     else:
         lines = ["left alone", f"{variant}: it has an expert already"]
-    share = share_of_base(outcome.record, plan.policies)
+    evaluated = "evaluation" in outcome.record
+    share = share_of_base(outcome.record, plan.policies) if evaluated else None
     if share is not None and share < _WEAK:
         again = "--improve --seed 1" if outcome.record["start"] == "scratch" else "--scratch --improve"
         better = f"`imujoco train {variant} {again}` may do better"
@@ -227,6 +228,9 @@ def describe_universal(outcome: Trained) -> tuple[str, ...]:
 
 def _made(record: dict[str, Any]) -> str:
     """Return the return of a record's policy, and the training that made it."""
+    if "evaluation" not in record:
+        # Only the listed variants have an evaluation of the folded policy.
+        return "the policy folded from the universal policy"
     evaluation = record["evaluation"]
     told = f"return {evaluation['return_mean']:.1f} ± {evaluation['return_std']:.1f}"
     if "steps" not in record:

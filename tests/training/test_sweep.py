@@ -351,3 +351,15 @@ def test_a_broken_record_is_named(home: Path) -> None:
     (folder / "hopper-massinc_12_leggeom.json").write_text(json.dumps({"algorithm": "TQC"}))
     with pytest.raises(PolicyNotFoundError, match=r"but hopper-massinc_12_leggeom\.safetensors is missing"):
         expert_actor(Variant.parse("hopper-massinc_12_leggeom"))
+
+
+def test_a_run_that_does_not_beat_a_folded_policy_without_evaluation_is_described(tmp_path: Path) -> None:
+    """Only the listed variants have an evaluation of the folded policy."""
+    variant = Variant.parse("hopper-massinc_37_torsogeom")
+    outcome = Trained(variant, dict(expert_record(variant)), tried=dict(expert_record(variant.base)))
+    assert "evaluation" not in outcome.record
+    printed = " ".join(describe_trained(outcome, Plan(tmp_path)))
+    assert (
+        "kept hopper-massinc_37_torsogeom: the policy folded from the universal policy; not as good"
+        in printed
+    )
