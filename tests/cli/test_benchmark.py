@@ -10,8 +10,8 @@ import pytest
 from actor_datasets import publish_actors
 
 from imujoco_minari.benchmark import reproduction
+from imujoco_minari.benchmark.protocol import holding_out
 from imujoco_minari.cli.app import run
-from imujoco_minari.cli.benchmark import _holding_out
 from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.variants import ROBOTS, held_out
 
@@ -104,7 +104,7 @@ def test_each_held_out_variant_is_in_the_first_split_that_has_it(capsys: pytest.
     variants = ["hopper-frictiondec_50_feet", "walker2d-frictiondec_50_feet", "hopper-massinc_50_torsogeom"]
     options = [word for variant in variants for word in ("--held-out", variant)]
     splits = [held_out(f"{robot}-{kind}-v1") for robot in ROBOTS for kind in ("extremes", "random")]
-    found = [(split.name, split.test) for split in _holding_out(variants, splits)]
+    found = [(split.name, split.test) for split in holding_out(variants, splits)]
     assert found == [
         ("hopper-extremes-v1", ("hopper-frictiondec_50_feet",)),
         ("hopper-random-v1", ("hopper-massinc_50_torsogeom",)),

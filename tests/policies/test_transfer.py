@@ -53,13 +53,13 @@ def policies() -> dict[str, Policy]:
 def evaluated(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
     """The cells that are really evaluated."""
     cells: list[tuple[str, str]] = []
-    inner = module._Cell.evaluate
+    inner = module._evaluate_cell
 
     def count(cell: Any) -> Any:
         cells.append((cell.policy_name, str(cell.variant)))
         return inner(cell)
 
-    monkeypatch.setattr(module._Cell, "evaluate", count)
+    monkeypatch.setattr(module, "_evaluate_cell", count)
     return cells
 
 
