@@ -58,20 +58,19 @@ class _OfD3rlpy:
 
 
 class Rebrac(_OfD3rlpy):
-    """ReBRAC (Tarasov and others, 2023), with its paper's penalties and networks for Gym-MuJoCo."""
+    """ReBRAC (Tarasov and others, 2023). Its paper tunes the penalties by dataset; here both are 0.01."""
 
     config = "ReBRACConfig"
 
     def __init__(self, seed: int, checkpoints: tuple[int, ...]) -> None:
         super().__init__(seed, checkpoints)
-        # Three layers and layer normalisation in the critics, as in the paper.
         self.hidden_units, self.critic_layer_norm = (256, 256, 256), True
         self.actor_learning_rate = self.critic_learning_rate = 1e-3
         self.actor_beta, self.critic_beta = 0.01, 0.01
 
 
 class Cql(_OfD3rlpy):
-    """CQL (Kumar and others, 2020), with the conservative weight of its paper's Gym-MuJoCo experiments."""
+    """CQL (Kumar and others, 2020). Its settings are not tuned here."""
 
     config = "CQLConfig"
 

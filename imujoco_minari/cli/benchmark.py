@@ -287,7 +287,7 @@ def _recipes(dataset_ids: Sequence[str]) -> list[Recipe]:
     from imujoco_minari.publishing.recipes import Recipe
 
     named = map(parse_dataset_id, dataset_ids)
-    # A tier of the user's own must already be in the root: nothing says which policy makes it.
+    # A tier of the user's own must already be in the root: its policy is not known.
     return [Recipe(variant, tier) for variant, tier in named if tier in TIERS]
 
 

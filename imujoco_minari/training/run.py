@@ -168,9 +168,9 @@ class Run:
                 self._update(settings.policy_delay)
                 progress.updates += settings.updates_per_call
                 if progress.updates // settings.updates_per_call % _AVERAGED_CALLS == 0:
-                    moved = 1 - settings.average
+                    kept = settings.average
                     self._average = {
-                        name: (1 - moved) * self._average[name] + moved * array
+                        name: kept * self._average[name] + (1 - kept) * array
                         for name, array in actor_weights(self._agent).items()
                     }
         progress.intervals += 1
