@@ -9,15 +9,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from imujoco_minari.envs.registration import max_episode_steps
 from imujoco_minari.policies import Actor, Array
 from imujoco_minari.policies.evaluation import evaluate
-from imujoco_minari.policies.universal import FIRST_WEIGHT
+from imujoco_minari.policies.universal import FIRST_WEIGHT, UniversalPolicy
 from imujoco_minari.training.agents import as_stored, import_jax
 from imujoco_minari.training.lanes import Lanes
 from imujoco_minari.variants import Variant
@@ -29,6 +30,8 @@ _LOG_STD_RANGE = (-20.0, 2.0)
 # The weight of the log deviation in the loss. The mode alone decides deterministic actions.
 _LOG_STD_WEIGHT = 0.1
 _NOISE = 0.1
+# Steps of an episode of a robot without a time limit, when policies are compared.
+_STEPS = 1000
 
 
 @dataclass(frozen=True)
@@ -103,6 +106,29 @@ def best_teacher(variant: Variant, candidates: dict[str, Actor], base_return: fl
     return Lesson(variant, candidates[names[0]], names[0], returns[names[0]] / base_return)
 
 
+def best_told(universal: UniversalPolicy, variant: Variant, others: Sequence[Variant]) -> list[Variant]:
+    """Return what a universal policy can be told to do well in a variant: the best three, by one episode.
+
+    What it was told in training is not always best: a policy that is told a lighter leg may run faster.
+
+    Args:
+        universal: the universal policy.
+        variant: the variant.
+        others: the variants that it can be told.
+    """
+    contexts = np.array([universal.context(other) for other in others])
+    lanes = Lanes(variant.robot, len(others), lambda lane, episode: variant, TEACHER_SEED, told=False)
+    lanes.restart()
+    returns, alive = np.zeros(len(others)), np.ones(len(others), bool)
+    for _ in range(max_episode_steps(variant.robot) or _STEPS):
+        inputs = np.concatenate([lanes.observations, contexts], axis=1, dtype=np.float32)
+        stepped = lanes.step(np.tanh(universal.actor.distribution(inputs)[0]))
+        returns += alive * stepped.rewards
+        alive &= ~stepped.terminated
+    lanes.close()
+    return [others[index] for index in np.argsort(-returns)[:3]]
+
+
 def distil(
     lessons: Sequence[Lesson],
     start: Actor,
@@ -162,6 +188,15 @@ def distil(
     return student.weights()
 
 
+def told_nothing(actor: Actor, parameters: int) -> Actor:
+    """Return an actor of observation and context that acts as one of the observation alone."""
+    first = actor.weights[FIRST_WEIGHT]
+    zeros = np.zeros((len(first), parameters), first.dtype)
+    return replace(
+        actor, weights=dict(actor.weights) | {FIRST_WEIGHT: np.concatenate([first, zeros], axis=1)}
+    )
+
+
 def label(teacher: Actor, observations: Array) -> Array:
     """Return a teacher's modes, in [-1, 1], and log deviations; shape (b, 2 * action size)."""
     mean, log_std = teacher.distribution(observations)
@@ -183,10 +218,8 @@ class Student:
         import jax.numpy as jnp
         import optax
 
-        weights = {name: np.array(array, np.float32) for name, array in start.weights.items()}
-        if start.observation_size == observation_size:
-            zeros = np.zeros((len(weights[FIRST_WEIGHT]), parameters), np.float32)
-            weights[FIRST_WEIGHT] = np.concatenate([weights[FIRST_WEIGHT], zeros], axis=1)
+        whole = start if start.observation_size > observation_size else told_nothing(start, parameters)
+        weights = {name: np.array(array, np.float32) for name, array in whole.weights.items()}
         self._hidden = [f"latent_pi.{2 * layer}" for layer in range(len(start.hidden_sizes))]
         self._params, self._batch = weights, settings.batch_size
         self._rate = settings.learning_rate

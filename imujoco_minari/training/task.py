@@ -27,7 +27,7 @@ class Distribution:
 
     listed: Mapping[Variant, float]
     draw: Callable[[int], Variant]
-    drawn: float = 0.5
+    drawn: float = 0.1
 
     def choose(self, rng: np.random.Generator, seed: int, running: Mapping[str, float]) -> Variant:
         """Return the variant of an episode.

@@ -1,18 +1,19 @@
-"""Trains the universal policy of a robot: chooses teachers, distils them, trains the result further.
+"""Trains the universal policy of a robot: in many variants, then by distilling the best known policies.
 
-The loop repeats: with ``improve``, the present universal policy is one of the teachers and the start. Its
+Training gives a policy that is strong in some variants and weak in others. So it is only one of the teachers,
+beside the experts and, with ``improve``, the present universal policy: each variant has the best of them. The
 nearest relative is Generalist-Specialist Learning (Jia et al. 2022).
 """
 
 from __future__ import annotations
 
-import json
 import shutil
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -35,9 +36,25 @@ from imujoco_minari.policies.universal import (
     whole_context,
 )
 from imujoco_minari.storage.files import write_json
-from imujoco_minari.training.agents import ALGORITHM, CRITICS, load_arrays, replace_actor, save_arrays
+from imujoco_minari.training.agents import (
+    ALGORITHM,
+    CRITICS,
+    actor_of,
+    agent_actor,
+    load_arrays,
+    replace_actor,
+    save_arrays,
+)
 from imujoco_minari.training.critics import with_context
-from imujoco_minari.training.distilling import Distilling, Lesson, Round, best_teacher, distil
+from imujoco_minari.training.distilling import (
+    Distilling,
+    Lesson,
+    Round,
+    best_teacher,
+    best_told,
+    distil,
+    told_nothing,
+)
 from imujoco_minari.training.hyperparameters import UNIVERSAL, hyperparameters
 from imujoco_minari.training.plan import Plan
 from imujoco_minari.training.run import OnInterval, Run, do_nothing, versions
@@ -81,7 +98,7 @@ def drawn_variant(robot: str, seed: int) -> Variant:
             continue
 
 
-def lessons(robot: str, policies: Path, seed: int) -> list[Lesson]:
+def lessons(robot: str, policies: Path, seed: int, trained: UniversalPolicy) -> list[Lesson]:
     """Return variants of a robot with the best known policy of each.
 
     They are the base, the listed variants, all others that have an expert, and drawn ones. A drawn variant
@@ -91,21 +108,20 @@ def lessons(robot: str, policies: Path, seed: int) -> list[Lesson]:
         robot: the robot.
         policies: folder to search before the package's.
         seed: of the drawn variants.
-
-    Raises:
-        PolicyNotFoundError: if the base has no expert.
+        trained: a universal policy that may teach, beside the present one.
     """
     base = Variant(robot)
-    if not own_record(base, policies):
-        raise PolicyNotFoundError(f"{base} has no expert to begin with: run `imujoco train {base}` first")
     base_return = mean_return(own_record(base, policies))
     own = {variant: expert_actor(variant) for variant in expert_variants(policies) if variant.robot == robot}
     present = universal_policy(robot, policies)
-    known = dict.fromkeys([base, *catalogue(robot), *own])
+    told = [trained] if present is None else [present, trained]
+    known = list(dict.fromkeys([base, *catalogue(robot), *own]))
     found = []
     for variant in known:
         candidates = {str(each): own[each] for each in (variant, base) if each in own}
-        found.append(best_teacher(variant, candidates | _folded(present, variant), base_return))
+        for universal in told:
+            candidates |= _folded(universal, [variant, *best_told(universal, variant, known)])
+        found.append(best_teacher(variant, candidates, base_return))
     rng = np.random.default_rng(seed)
     for number in range(DRAWN):
         variant = drawn_variant(robot, seed=seed + number)
@@ -114,14 +130,16 @@ def lessons(robot: str, policies: Path, seed: int) -> list[Lesson]:
         others = [each for each in own if each not in (*near, base)]
         tried = [others[index] for index in rng.permutation(len(others))[:_OTHERS]]
         candidates = {str(each): own[each] for each in (base, *near, *tried)}
-        lesson = best_teacher(variant, candidates | _folded(present, variant), base_return)
+        for universal in told:
+            candidates |= _folded(universal, [variant])
+        lesson = best_teacher(variant, candidates, base_return)
         if lesson.share >= WORTH_TEACHING:
             found.append(lesson)
     return found
 
 
-def _folded(present: UniversalPolicy | None, variant: Variant) -> dict[str, Actor]:
-    return {} if present is None else {present.sha256[:12]: present.fold(variant)}
+def _folded(universal: UniversalPolicy, variants: Sequence[Variant]) -> dict[str, Actor]:
+    return {f"{universal.sha256[:12]} told {variant}": universal.fold(variant) for variant in variants}
 
 
 def train_universal(
@@ -131,17 +149,19 @@ def train_universal(
     say: Callable[[str], None] = lambda line: None,
     on_interval: OnInterval = do_nothing,
 ) -> Trained:
-    """Train the universal policy of a robot and install it. A killed run continues where it stopped.
+    """Train the universal policy of a robot and install it, unless the present one is better.
+
+    A killed run continues where it stopped.
 
     Args:
         robot: the robot.
         plan: the folders, the hyperparameters that differ, and whether to improve a policy that exists.
         distilling: the settings of the distillation; None for the usual ones with the plan's seed.
         say: called with a line about the distillation now and then.
-        on_interval: called with the progress and the task after every interval of the training after it.
+        on_interval: called with the progress and the task after every interval of the training before it.
 
     Raises:
-        PolicyNotFoundError: if the base has no expert, or no agent whose critics the training needs.
+        PolicyNotFoundError: if the base has no expert, or no agent that the training begins as.
         TrainingError: if another process trains it.
     """
     name, present = universal_name(robot), universal_policy(robot, plan.policies)
@@ -150,38 +170,35 @@ def train_universal(
     distilling = distilling or Distilling(seed=plan.seed)
     folder, begin = plan.state / name, time.monotonic()
     with lock_folder(folder):
-        distilled = folder / "distilled.safetensors"
-        if not distilled.is_file():
-            say(f"choosing teachers for {robot}")
-            taught = lessons(robot, plan.policies, plan.seed)
-            shares = [lesson.share for lesson in taught]
-            say(f"{len(taught)} variants, their teachers at {np.median(shares):.3f} of the base (median)")
-            start = present.actor if present is not None else expert_actor(Variant(robot))
-            weights = distil(taught, start, distilling, partial(_tell, say))
-            write_json(folder / "ranges.json", _ranges(robot, taught))
-            save_arrays(distilled, weights)
-        work = _task(robot, plan, load_arrays(distilled))
-        with closing(Run(work, folder / "run", device=plan.device)) as run:
+        task = _task(robot, plan)
+        with closing(Run(task, folder / "run", device=plan.device)) as run:
             run.train(on_interval)
-        weights = load_arrays(folder / "run" / "best.safetensors")
-        record = {
+        trained = universal_of(load_arrays(folder / "run" / "best.safetensors"), robot)
+        say(f"choosing teachers for {robot}")
+        taught = lessons(robot, plan.policies, plan.seed, trained)
+        shares = [lesson.share for lesson in taught]
+        say(f"{len(taught)} variants, their teachers at {np.median(shares):.3f} of the base (median)")
+        weights = distil(taught, (present or trained).actor, distilling, partial(_tell, say))
+        record: dict[str, Any] = {
             "robot": robot,
             "algorithm": ALGORITHM,
             "weights_sha256": universal_of(weights, robot).sha256,
-            "ranges": json.loads((folder / "ranges.json").read_text("utf-8")),
+            "ranges": _ranges(robot, taught),
             "seed": plan.seed,
             "distilling": vars(distilling),
-            "hyperparameters": work.settings.asdict(),
+            "hyperparameters": task.settings.asdict(),
             "steps": run.progress.best_steps,
             "steps_trained": run.progress.steps,
             "updates": run.progress.updates,
-            "wall_seconds": round(time.monotonic() - begin, 1),
+            "wall_seconds": round(run.progress.wall_seconds + time.monotonic() - begin, 1),
             "versions": versions(),
             "measured": {},
         }
         policy = universal_of_record(universal_of(weights, robot).actor, record)
         for variant in measured_variants(robot):
             record["measured"][str(variant)] = evaluations(variant, policy.fold(variant))
+        if present is not None and _mean_return(present.record) >= _mean_return(record):
+            return Trained(name, dict(present.record), tried=record)
         save_arrays(plan.policies / f"{name}.safetensors", weights)
         agent = load_arrays(folder / "run" / "best-agent.safetensors")
         critics = {path: array for path, array in agent.items() if path.startswith(CRITICS)}
@@ -192,6 +209,11 @@ def train_universal(
     return Trained(name, record, created=True)
 
 
+def _mean_return(record: Mapping[str, Any]) -> float:
+    """Return the mean return of a universal policy over the variants that it was evaluated in."""
+    return float(np.mean([mean_return(measured) for measured in record["measured"].values()]))
+
+
 def _tell(say: Callable[[str], None], told: Round, weights: dict[str, Array]) -> None:
     say(
         f"round {told.number}: {np.median(told.shares):.3f} of the teachers (median), "
@@ -199,21 +221,22 @@ def _tell(say: Callable[[str], None], told: Round, weights: dict[str, Array]) ->
     )
 
 
-def _task(robot: str, plan: Plan, start: dict[str, Array]) -> Task:
-    """Return the training of a distilled policy."""
+def _task(robot: str, plan: Plan) -> Task:
+    """Return the training in many variants, which begins as the base's agent."""
     base = Variant(robot)
-    path = agent_file(universal_name(robot), plan.policies) or agent_file(base, plan.policies)
-    if path is None:
-        raise PolicyNotFoundError(f"the critics begin as those of {base}, which has no agent")
+    path = agent_file(base, plan.policies)
+    if not own_record(base, plan.policies) or path is None:
+        raise PolicyNotFoundError(f"{base} has no agent to begin with: run `imujoco train {base}` first")
     listed = (base, *catalogue(robot))
     contexts = np.array([whole_context(variant) for variant in listed], np.float32)
-    base_return = mean_return(own_record(base, plan.policies))
+    base_return, agent = mean_return(own_record(base, plan.policies)), load_arrays(path)
+    actor = told_nothing(actor_of(agent_actor(agent), robot), contexts.shape[1])
     return Task(
         base,
         hyperparameters(robot, UNIVERSAL, **plan.changes),
         plan.seed,
-        start="distilled",
-        agent=replace_actor(with_context(load_arrays(path), contexts, robot), start),
+        start=str(base),
+        agent=replace_actor(with_context(agent, contexts, robot), actor.weights),
         over=Distribution(dict.fromkeys(listed, base_return), partial(drawn_variant, robot)),
     )
 

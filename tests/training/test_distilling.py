@@ -1,19 +1,22 @@
-"""Training a universal policy: distilling, anchored training, drawn variants, and resuming."""
+"""Training a universal policy: in many variants, teachers, distilling, drawn variants, and resuming."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from imujoco_minari.policies import Actor, expert_actor, universal_policy
+from imujoco_minari.policies.evaluation import evaluate
 from imujoco_minari.policies.experts import agent_file
 from imujoco_minari.policies.universal import FIRST_WEIGHT, UniversalPolicy
 from imujoco_minari.training import universal
 from imujoco_minari.training.agents import load_arrays
 from imujoco_minari.training.critics import with_context
-from imujoco_minari.training.distilling import Distilling, Lesson, best_teacher, distil
+from imujoco_minari.training.distilling import Distilling, Lesson, best_teacher, best_told, distil
 from imujoco_minari.training.plan import Plan
 from imujoco_minari.training.run import Progress
 from imujoco_minari.training.starts import best_start
@@ -62,6 +65,19 @@ def test_the_best_of_several_policies_teaches() -> None:
     assert found.share > 0.9
 
 
+def test_a_universal_policy_is_told_what_makes_it_act_best() -> None:
+    policy = universal_policy("hopper")
+    assert policy is not None
+    others = [Variant.parse(f"hopper-{name}") for name in ("gravityinc_100_world", "gravitydec_50_world", "base")]
+    heavy = Variant.parse("hopper-massinc_100_torsogeom")
+    found = best_told(policy, heavy, [*others, heavy])
+    assert len(found) == 3
+    returns = {each: evaluate(heavy, policy.fold(each), episodes=1, seed=0).return_mean for each in found}
+    (left_out,) = {*others, heavy} - set(found)
+    left = evaluate(heavy, policy.fold(left_out), episodes=1, seed=0).return_mean
+    assert left < min(returns.values())
+
+
 @pytest.mark.parametrize("robot", ["hopper", "halfcheetah", "walker2d", "ant"])
 def test_drawn_variants_are_within_the_ranges_and_of_every_category(robot: str) -> None:
     ranges, seen = drawing_ranges(robot, unlisted=True), set()
@@ -99,7 +115,12 @@ def test_a_universal_policy_is_trained_killed_resumed_and_installed(
 ) -> None:
     monkeypatch.setattr(universal, "lessons", lambda *_: [lesson(BASE), lesson(HEAVY)])
     monkeypatch.setattr(universal, "catalogue", lambda robot: (HEAVY,))
-    monkeypatch.setattr(universal, "evaluations", lambda variant, policy: {"sha256": policy.sha256})
+    returns = {"return_mean": 1e6}
+
+    def measured(variant: Variant, policy: Actor) -> dict[str, Any]:
+        return {"sha256": policy.sha256, "evaluation": dict(returns)}
+
+    monkeypatch.setattr(universal, "evaluations", measured)
     changes = {
         "lanes": 10,
         "steps_per_call": 10,
@@ -126,12 +147,12 @@ def test_a_universal_policy_is_trained_killed_resumed_and_installed(
     with pytest.raises(KeyboardInterrupt):
         train_universal("hopper", plan, SMALL, lines.append, die)
     assert not (tmp_path / "policies").exists()
-    assert any(line.startswith("round 2") for line in lines)
-    # It goes on where it was: nothing is distilled again, and 150 steps are left.
-    lines.clear()
+    assert lines == []
+    # It goes on where it was: 150 steps are left.
     outcome = train_universal("hopper", plan, SMALL, lines.append, tell)
     assert outcome.created
-    assert (lines, steps) == ([], [400])
+    assert steps == [400]
+    assert any(line.startswith("round 2") for line in lines)
     # It ends in the weights of a run that was not killed.
     whole = Plan(tmp_path / "whole", tmp_path / "others", improve=True, changes=changes)
     assert (
@@ -142,7 +163,7 @@ def test_a_universal_policy_is_trained_killed_resumed_and_installed(
     assert found.sha256 == outcome.record["weights_sha256"]
     assert outcome.record["measured"][str(HEAVY)]["sha256"] == found.fold(HEAVY).sha256
     assert found.actor.weights[FIRST_WEIGHT].shape[1] == 11 + len(found.low)
-    assert not (tmp_path / "state" / "hopper-universal" / "distilled.safetensors").exists()
+    assert not (tmp_path / "state" / "hopper-universal").exists()
     # Experts that are trained from it get its critics, and so does a later run.
     agent = tmp_path / "policies" / "hopper-universal.agent.safetensors"
     assert agent.stat().st_size < 1_000_000
@@ -150,4 +171,9 @@ def test_a_universal_policy_is_trained_killed_resumed_and_installed(
         best_start(HEAVY, tmp_path / "policies").agent["qf/params/VmapCritic_0/Dense_0/kernel"].shape[1] == 14
     )
     kept = train_universal("hopper", Plan(tmp_path / "state", tmp_path / "policies"), SMALL)
-    assert not kept.created
+    assert (kept.created, kept.tried) == (False, {})
+    # One that is not better is not installed.
+    returns.update(return_mean=returns["return_mean"] - 1)
+    again = train_universal("hopper", replace(plan, seed=1), SMALL)
+    assert (again.created, bool(again.tried)) == (False, True)
+    assert again.record["weights_sha256"] == found.sha256 != again.tried["weights_sha256"]
