@@ -286,6 +286,8 @@ def published_content(few: Sequence[Line], off: Sequence[Line]) -> str:
         off: offline lines.
     """
     entries = ("data_sha256", "policies_sha256", "references")
+    # Demonstrations by other experts cover few variants of a split.
+    few = [x for x in few if "train_tier" not in x]
     train = {f"{x['split']} {x['tier']}": x["train_sha256"] for x in few if x["train_sha256"]}
     variants = {f"{x['variant']} {x['tier']}": {key: x[key] for key in entries} for x in few}
     data = {
