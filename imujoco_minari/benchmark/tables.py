@@ -85,7 +85,8 @@ def offline_tables(scores: Sequence[MethodScore]) -> str:
         if (robot, category) in shifted
     ]
     if rows:
-        caption = f"From {SHIFTED_TIER} data of the base to other variants, after each method's last update"
+        caption = f"From {SHIFTED_TIER} data of the base to other variants, after {steps[-1]:,} updates"
+        caption += ", or as many as the method has" if len(set(last.values())) > 1 else ""
         parts.append(folded(caption, table(["robot", "variants", *methods], rows)))
     return "\n\n".join(parts)
 

@@ -142,7 +142,7 @@ def test_new_experts_change_the_references_and_nothing_is_computed_again(
     (before,) = run_offline(grid, tmp_path)
     monkeypatch.setattr("imujoco_minari.benchmark.offline.policies_sha256", lambda variants: "new")
     monkeypatch.setattr("imujoco_minari.benchmark.offline.references", lambda variant: [0.0, 1.0])
-    monkeypatch.setattr("imujoco_minari.benchmark.offline._run_cell", None)
+    monkeypatch.setattr("imujoco_minari.benchmark.offline._run_cell", pytest.fail)
     (after,) = run_offline(grid, tmp_path)
     new = {"policies_sha256": "new", "references": {name: [0.0, 1.0] for name in before["references"]}}
     assert after == {**before, **new}
