@@ -10,6 +10,7 @@ from imujoco_minari.benchmark.methods import COMPARISONS
 from imujoco_minari.benchmark.offline import ACROSS_ALGORITHMS, ALGORITHMS, ALL_TIERS, SHIFTED_TIER
 from imujoco_minari.benchmark.reproduction import comparison
 from imujoco_minari.benchmark.scores import (
+    ALL,
     OTHERS_MARK,
     SHIFTED,
     TYPICAL_BUDGET,
@@ -49,9 +50,15 @@ class ScoreFigure:
 def few_shot_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
     """Return the figures of few-shot scores: return by tier, against data, and against steps.
 
-    The methods of others are not in them.
+    The methods of others are not in them, nor demonstrations that cover only some variants of a split.
     """
-    shown = shown_scores([score for score in scores if not score.method.endswith(OTHERS_MARK)])
+    counts = {(score.group, score.tier): score.variants for score in scores if score.category == ALL}
+    whole = [
+        score
+        for score in scores
+        if counts[score.group, score.tier] == max(n for key, n in counts.items() if key[0] == score.group)
+    ]
+    shown = shown_scores([score for score in whole if not score.method.endswith(OTHERS_MARK)])
     figures = _tier_figures(shown)
     for kind in dict.fromkeys(_kind(score) for score in shown):
         chosen = [score for score in shown if _kind(score) == kind]

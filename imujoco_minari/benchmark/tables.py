@@ -64,10 +64,12 @@ def offline_tables(scores: Sequence[MethodScore]) -> str:
     """Return Markdown tables of offline scores, folded: on each base robot, and on other variants."""
     methods = in_order({score.method for score in scores}, ALGORITHMS)
     steps = sorted({score.steps for score in scores})
+    last = {score.method: score.steps for score in sorted(scores, key=lambda score: score.steps)}
     found = {(s.group, s.tier, s.category, s.steps, s.method): s for s in scores}
 
-    def cells(robot: str, tier: str, category: str, number: int) -> list[str]:
-        return [_cell(found.get((robot, tier, category, number, method))) for method in methods]
+    def cells(robot: str, tier: str, category: str, number: int | None = None) -> list[str]:
+        keys = [(robot, tier, category, number or last[method], method) for method in methods]
+        return [_cell(found.get(key)) for key in keys]
 
     parts = []
     for robot in ROBOTS:
@@ -78,12 +80,13 @@ def offline_tables(scores: Sequence[MethodScore]) -> str:
             parts.append(folded(f"{robot}, on the base robot", text))
     shifted = [(s.group, s.category) for s in scores if s.category != BASE]
     rows = [
-        [robot, category, *cells(robot, SHIFTED_TIER, category, steps[-1])]
+        [robot, category, *cells(robot, SHIFTED_TIER, category)]
         for robot, category in product(ROBOTS, (SHIFTED, *CATEGORIES))
         if (robot, category) in shifted
     ]
     if rows:
         caption = f"From {SHIFTED_TIER} data of the base to other variants, after {steps[-1]:,} updates"
+        caption += ", or as many as the method has" if len(set(last.values())) > 1 else ""
         parts.append(folded(caption, table(["robot", "variants", *methods], rows)))
     return "\n\n".join(parts)
 

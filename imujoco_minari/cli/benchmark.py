@@ -129,11 +129,12 @@ def offline(
     """Run offline reinforcement learning on the bases' datasets, or across variants.
 
     Each algorithm learns from a dataset and is evaluated on the base robot; after medium-expert data also
-    on four variants. It is evaluated after a tenth, a fifth, two fifths and all of the updates. Each cell
-    becomes a line of offline.jsonl in the folder `results`, unless --output names another. A killed run
-    continues where it stopped. Datasets that are missing are published first. --across learns from the
-    medium-expert data of all training variants of the random split, and is evaluated on those held out; its
-    lines are in across.jsonl. --method takes your own class as <module>:<Class>.
+    on four variants. It is evaluated after 25,000, 50,000, 100,000 and 250,000 updates; with --updates, after
+    those that are fewer, and at the end. Each cell becomes a line of offline.jsonl in the folder `results`,
+    unless --output names another. A killed run continues where it stopped. Datasets that are missing are
+    published first. --across learns from the medium-expert data of all training variants of the random
+    split, and is evaluated on those held out; its lines are in across.jsonl. --method takes your own class
+    as <module>:<Class>.
 
     Example: `imujoco benchmark offline --method td3+bc --base hopper --tier medium-expert --seeds 1`
     """

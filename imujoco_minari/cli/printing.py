@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import math
 import sys
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from datetime import timedelta
 from typing import Any
 
 from rich.console import Console
@@ -19,6 +21,9 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 from rich.text import Text
+
+# An estimate is of the speed in this time, and a log gets a line after at least this time.
+ESTIMATE_SECONDS, LINE_SECONDS = 3600.0, 60.0
 
 
 def printable(text: object) -> str:
@@ -131,7 +136,7 @@ def progress(description: str, total: int | None, *, quiet: bool = False) -> Ite
     """Show a bar with an estimate on the error stream, and yield the function that advances it.
 
     The function advances the bar by one, or by the number that it is given. A total of None is unknown: the
-    bar counts, without an estimate.
+    bar counts, without an estimate. A log gets a line a minute instead of the bar.
     """
     columns = (
         TextColumn("{task.description}", markup=False),
@@ -142,6 +147,19 @@ def progress(description: str, total: int | None, *, quiet: bool = False) -> Ite
         TimeRemainingColumn(),
     )
     console = err.console
-    with Progress(*columns, console=console, disable=quiet or not console.is_terminal) as bar:
-        task = bar.add_task(printable(description), total=total)
-        yield lambda count=1: bar.advance(task, count)
+    disable = quiet or not console.is_terminal
+    with Progress(*columns, console=console, disable=disable, speed_estimate_period=ESTIMATE_SECONDS) as bar:
+        bar.add_task(printable(description), total=total)
+        [task] = bar.tasks
+        written = time.monotonic()
+
+        def advance(count: int = 1) -> None:
+            nonlocal written
+            bar.advance(task.id, count)
+            if disable and not quiet and time.monotonic() - written >= LINE_SECONDS:
+                written = time.monotonic()
+                left = task.time_remaining
+                estimate = "" if left is None else f", {timedelta(seconds=round(left))} left"
+                say(f"{description}: {task.completed:.0f} of {total or 'unknown'}{estimate}")
+
+        yield advance

@@ -18,6 +18,7 @@ from imujoco_minari.benchmark.offline import (
     ACROSS_ALGORITHMS,
     ACROSS_FILE,
     ALGORITHMS,
+    FILE,
     OfflineGrid,
     Told,
     run_offline,
@@ -130,6 +131,29 @@ def test_one_tiny_cell_of_each_algorithm_across_variants(
     scores = offline_scores(lines)
     assert {score.group for score in scores} == {"hopper-random-v1"}
     assert {score.category for score in scores} == {"shifted", "friction"}
+
+
+def test_new_experts_change_the_references_and_nothing_is_computed_again(
+    monkeypatch: pytest.MonkeyPatch, small_datasets: list[str], tmp_path: Path
+) -> None:
+    monkeypatch.setattr("imujoco_minari.benchmark.offline.ALL_TIERS", ("random",))
+    monkeypatch.setattr("imujoco_minari.benchmark.offline.SHIFTED_TIER", "random")
+    grid = OfflineGrid({"bc": Cloning}, ["hopper"], ["random"], [0], updates=2, episodes=1)
+    (before,) = run_offline(grid, tmp_path)
+    monkeypatch.setattr("imujoco_minari.benchmark.offline.policies_sha256", lambda variants: "new")
+    monkeypatch.setattr("imujoco_minari.benchmark.offline.references", lambda variant: [0.0, 1.0])
+    monkeypatch.setattr("imujoco_minari.benchmark.offline._run_cell", pytest.fail)
+    (after,) = run_offline(grid, tmp_path)
+    new = {"policies_sha256": "new", "references": {name: [0.0, 1.0] for name in before["references"]}}
+    assert after == {**before, **new}
+    assert run_offline(grid, tmp_path) == [after]
+    assert read_lines(tmp_path / FILE) == [before, after]
+
+
+def test_the_policy_is_evaluated_at_the_numbers_of_the_protocol() -> None:
+    assert OfflineGrid().checkpoints() == [25_000, 50_000, 100_000, 250_000]
+    assert OfflineGrid(updates=100_000).checkpoints() == [25_000, 50_000, 100_000]
+    assert OfflineGrid(updates=30).checkpoints() == [30]
 
 
 def test_a_policy_that_is_told_the_variant_acts_by_it() -> None:

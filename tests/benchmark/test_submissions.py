@@ -52,6 +52,24 @@ def test_whole_lines_have_no_fault(whole: list[dict[str, Any]], tmp_path: Path) 
     assert "lacks seed 0 (2 of 3 cells)" in check_submission(tmp_path)[0]
 
 
+def test_an_offline_algorithm_may_stop_early(tmp_path: Path) -> None:
+    lines = [dict(x) for x in read_lines(RESULTS / offline.FILE) if x["method"] == "iql"]
+    for line in lines:
+        line["checkpoints"] = line["checkpoints"][:2]
+        steps = list(map(str, line["checkpoints"]))
+        line["results"] = {
+            variant: {number: by_updates[number] for number in steps}
+            for variant, by_updates in line["results"].items()
+        }
+    assert check_submission(written(tmp_path, lines, offline.FILE)) == []
+    for checkpoints in ([], [50_000]):
+        changed = [line | {"checkpoints": checkpoints} for line in lines]
+        assert any(
+            "checkpoints are not the first of the protocol's: [25000, 50000, 100000, 250000]" in fault
+            for fault in check_submission(written(tmp_path, changed, offline.FILE))
+        )
+
+
 def test_what_is_compared_with_is_of_the_published_lines() -> None:
     few, off = (read_lines(RESULTS / each.FILE) for each in (few_shot, offline))
     assert PUBLISHED.read_text("utf-8") == published_content(few, off)

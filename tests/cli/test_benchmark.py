@@ -87,10 +87,10 @@ def test_a_dry_run_computes_nothing(capsys: pytest.CaptureFixture[str], tmp_path
     cells = 5 * (31 * (6 * 5 + 4) + 70 * (6 * 2 + 4))
     assert f"{cells} cells" in capsys.readouterr().err
     assert run(["benchmark", "offline", "--dry-run"]) == 0
-    assert "108 cells" in capsys.readouterr().err
+    assert "180 cells" in capsys.readouterr().err
     assert run(["benchmark", "offline", "--dry-run", "--jobs", "2", "--json"]) == 0
     output = capsys.readouterr()
-    assert (json.loads(output.out)["cells"], output.err) == (108, "")
+    assert (json.loads(output.out)["cells"], output.err) == (180, "")
     assert json.loads(output.out)["publish"][:2] == [
         "imujoco/hopper-base-medium-v0",
         "imujoco/hopper-base-medium-replay-v0",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -75,6 +76,21 @@ def test_lines_go_above_a_bar_on_the_same_terminal(monkeypatch: pytest.MonkeyPat
     before = screen.getvalue().partition("a result")[0]
     # The line of the bar was cleared.
     assert before.endswith("\x1b[2K")
+
+
+def test_a_log_gets_lines_instead_of_a_bar(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("imujoco_minari.cli.printing.LINE_SECONDS", 0.0)
+    with progress("training", 4) as advance:
+        advance(2)
+        advance()
+    # What was known before, in one step, says nothing of the speed.
+    assert re.fullmatch(r"training: 2 of 4\ntraining: 3 of 4, 0:00:0\d left\n", capsys.readouterr().err)
+    monkeypatch.setattr("imujoco_minari.cli.printing.LINE_SECONDS", 60.0)
+    with progress("training", 4) as advance:
+        advance()
+    assert capsys.readouterr().err == ""
 
 
 @pytest.fixture

@@ -9,9 +9,9 @@ from hashlib import sha256
 from itertools import product
 from pathlib import Path
 
-from imujoco_minari.benchmark import few_shot, offline, reproduction
+from imujoco_minari.benchmark import few_shot, offline, protocol, reproduction
 from imujoco_minari.benchmark.lines import policies_sha256, read_lines, references
-from imujoco_minari.benchmark.methods import METHODS, settings_of
+from imujoco_minari.benchmark.methods import COMPARISONS, METHODS, settings_of
 from imujoco_minari.policies import expert_actor
 from imujoco_minari.variants import EXPERT, ROBOTS, Variant, catalogue, held_out
 from imujoco_minari.verification.published import published_entry
@@ -20,7 +20,15 @@ DOCS = Path(__file__).parents[2] / "docs"
 RESULTS = DOCS / "results"
 LINES = read_lines(RESULTS / few_shot.FILE)
 OFFLINE = read_lines(RESULTS / offline.FILE)
+ACROSS = read_lines(RESULTS / offline.ACROSS_FILE)
 REPRODUCED = read_lines(RESULTS / reproduction.FILE)
+# What the published lines have. With the next results (`scripts/results`) they have all METHODS, the families
+# ["descendant", "specialist"], offline.SEEDS, LARGE_TIERS, and 3 seeds across variants.
+PUBLISHED_METHODS = [method for method in METHODS if method not in ("history", "universal")]
+PUBLISHED_FAMILIES: list[str] = []
+PUBLISHED_SEEDS = 3
+PUBLISHED_LARGE_TIERS: list[str] = []
+PUBLISHED_ACROSS_SEEDS = 0
 
 
 def content(dataset_id: str) -> str:
@@ -50,13 +58,41 @@ def test_each_line_is_of_the_shipped_experts_and_their_published_datasets() -> N
         assert found == digest([Variant.parse(variant).dataset_id() for variant in held_out(split).train])
 
 
+def budgets(method: str, split: str, tier: str) -> Sequence[str]:
+    if method in COMPARISONS:
+        return ["1x100"]
+    if tier != EXPERT:
+        return ["5x100"]
+    # It takes as long as all other methods together.
+    return ["5x100", "1xall"] if method == "history" else list(map(str, protocol.budgets_of(held_out(split))))
+
+
 def test_the_splits_are_whole() -> None:
-    for name, tier in {(line["split"], line["tier"]) for line in LINES}:
-        own = [line for line in LINES if (line["split"], line["tier"]) == (name, tier)]
-        cells = {(line["method"], line["variant"], line["budget"], line["seed"]) for line in own}
-        # Five methods with these budgets, three with one, and five seeds.
-        budgets = 1 if tier != EXPERT else 2 if "extremes" in name else 5
-        assert len(own) == len(cells) == len(held_out(name).test) * (5 * budgets + 3) * 5
+    own = [line for line in LINES if "train_tier" not in line]
+    found = [
+        tuple(line[key] for key in ("split", "tier", "method", "variant", "budget", "seed")) for line in own
+    ]
+    groups = [(f"{robot}-{kind}-v1", EXPERT) for robot in ROBOTS for kind in ("random", "extremes")]
+    groups += [(f"{robot}-random-v1", "expert-stochastic") for robot in ROBOTS]
+    wanted = {
+        (split, tier, method, variant, budget, seed)
+        for (split, tier), method in product(groups, PUBLISHED_METHODS)
+        for variant, budget, seed in product(
+            held_out(split).test, budgets(method, split, tier), range(protocol.SEEDS)
+        )
+    }
+    assert len(found) == len(wanted)
+    assert set(found) == wanted
+
+
+def test_demonstrations_by_two_families_have_the_same_cells() -> None:
+    keys = ("split", "train_tier", "method", "variant", "budget", "seed")
+    families: dict[str, set[tuple[str, ...]]] = {}
+    for line in LINES:
+        if "train_tier" in line:
+            families.setdefault(line["tier"], set()).add(tuple(line[key] for key in keys))
+    assert sorted(families) == PUBLISHED_FAMILIES
+    assert all(cells == families[PUBLISHED_FAMILIES[0]] for cells in families.values())
 
 
 def test_the_page_counts_the_variants_with_their_own_expert() -> None:
@@ -82,18 +118,23 @@ def test_the_page_counts_the_variants_with_their_own_expert() -> None:
 
 def test_the_offline_lines_are_whole_and_of_the_shipped_experts() -> None:
     assert OFFLINE
-    for line in OFFLINE:
+    for line in (*OFFLINE, *ACROSS):
         variants = tuple(map(Variant.parse, line["variants"]))
         assert line["policies_sha256"] == policies_sha256(variants)
         assert line["references"] == {str(variant): references(variant) for variant in variants}
-        assert line["settings"] == offline.algorithm_settings(offline.ALGORITHMS[line["method"]])
+        known = offline.ACROSS_ALGORITHMS if line["protocol"] == offline.ACROSS else offline.ALGORITHMS
+        assert line["settings"] == offline.algorithm_settings(known[line["method"]])
         assert line["checkpoints"] == offline.OfflineGrid().checkpoints()
     data = {(line["robot"], line["tier"], line["data_sha256"]) for line in OFFLINE}
     tiers = {line["tier"] for line in OFFLINE}
     assert len(data) == len(ROBOTS) * len(tiers)
-    cells = {(line["method"], line["robot"], line["tier"], line["seed"]) for line in OFFLINE}
-    grid = offline.OfflineGrid(tiers=sorted(tiers))
-    assert len(OFFLINE) == len(cells) == grid.cells()
+    found = [tuple(line[key] for key in ("method", "robot", "tier", "seed")) for line in OFFLINE]
+    whole = {*product(offline.ALGORITHMS, ROBOTS, offline.TIERS, range(PUBLISHED_SEEDS))}
+    whole |= {*product(["iql"], ROBOTS, PUBLISHED_LARGE_TIERS, range(3))}
+    assert len(found) == len(whole)
+    assert set(found) == whole
+    across = sorted((line["method"], line["robot"], line["seed"]) for line in ACROSS)
+    assert across == sorted(product(offline.ACROSS_ALGORITHMS, ROBOTS, range(PUBLISHED_ACROSS_SEEDS)))
 
 
 def test_the_published_comparison_is_whole_and_of_the_published_datasets() -> None:

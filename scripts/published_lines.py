@@ -1,0 +1,32 @@
+"""Put the newest line of each cell of a results folder into another.
+
+python -m scripts.published_lines FROM TO
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from imujoco_minari.benchmark import few_shot, offline, reproduction
+from imujoco_minari.benchmark.lines import append_lines, latest, read_lines
+
+CELLS = {
+    few_shot.FILE: few_shot.CELL,
+    offline.FILE: offline.CELL,
+    offline.ACROSS_FILE: offline.CELL,
+    reproduction.FILE: reproduction.CELL,
+}
+
+
+def main(source: Path, target: Path) -> None:
+    """Write the newest lines of each results file below ``source`` to the same place below ``target``."""
+    for file in sorted(source.rglob("*.jsonl")):
+        lines = latest(read_lines(file), CELLS[file.name])
+        written = target / file.relative_to(source)
+        written.unlink(missing_ok=True)
+        append_lines(written, lines)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]))
