@@ -18,7 +18,7 @@ from imujoco_minari.cli.estimates import training_line
 from imujoco_minari.cli.options import Output, argument, option
 from imujoco_minari.cli.printing import counted, out, print_json, print_table, say
 from imujoco_minari.cli.selection import Filters, VariantChoice
-from imujoco_minari.errors import ArgumentError
+from imujoco_minari.errors import CatalogueError
 from imujoco_minari.policies import expert_variants, policies_folder
 from imujoco_minari.policies.experts import readable_record
 from imujoco_minari.policies.standing import COLUMNS, share_of_base, standings
@@ -90,9 +90,12 @@ def train_variants(
     from imujoco_minari.training.plan import Plan, default_state
 
     if universal and (robot is None or variants or category):
-        raise ArgumentError("--universal trains one policy a robot: give --robot ROBOT and no variants")
+        raise typer.BadParameter("--universal trains one policy a robot: give --robot ROBOT and no variants")
     chosen = VariantChoice(robot, category, everything, with_base, variants).variants()
-    changes = hyperparameter_changes(settings or [])
+    try:
+        changes = hyperparameter_changes(settings or [])
+    except CatalogueError as error:
+        raise typer.BadParameter(str(error)) from None
     if max_steps is not None:
         changes["max_steps"] = max_steps
     plan = Plan(
