@@ -62,7 +62,7 @@ class CatalogueWarning(ImujocoWarning):
 
 
 class PolicyWarning(ImujocoWarning):
-    """A policy that falls or scores low, before its episodes are published."""
+    """A policy that falls or scores low, or a policy whose record cannot be read."""
 
 
 class PolicyNotFoundError(NotFoundError, FileNotFoundError):

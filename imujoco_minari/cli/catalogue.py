@@ -7,11 +7,11 @@ from typing import Any
 
 from imujoco_minari.cli import options
 from imujoco_minari.cli.app import app
-from imujoco_minari.cli.printing import out, print_json, print_table
+from imujoco_minari.cli.printing import out, print_json, print_table, say
 from imujoco_minari.cli.selection import Filters, counted_variants
-from imujoco_minari.errors import VariantError
+from imujoco_minari.errors import PolicyError, PolicyNotFoundError, VariantError
 from imujoco_minari.policies import expert_record, expert_variants, universal_policy
-from imujoco_minari.policies.experts import FOLDED
+from imujoco_minari.policies.experts import is_folded
 from imujoco_minari.policies.standing import share_of_base
 from imujoco_minari.storage import minari_root
 from imujoco_minari.variants import EXPERT, NAMESPACE, Variant, parse_dataset_id
@@ -35,7 +35,7 @@ def list_variants(
     """
     chosen = Filters(robot, category, with_base=with_base).variants()
     experts, tiers = set(expert_variants()), _published_tiers()
-    told = {variant.robot for variant in chosen if universal_policy(variant.robot) is not None}
+    told = {robot for robot in {variant.robot for variant in chosen} if _has_universal(robot)}
     rows: list[dict[str, Any]] = [
         {
             "variant": str(variant),
@@ -58,6 +58,15 @@ def list_variants(
         f"{counted_variants(chosen)}; {sum(row['policy'] is not None for row in rows)} with an expert, "
         f"{sum(bool(row['published']) for row in rows)} published in {minari_root.datasets_root()}",
     )
+
+
+def _has_universal(robot: str) -> bool:
+    """Return whether a robot has a universal policy. One that cannot be read is named."""
+    try:
+        return universal_policy(robot) is not None
+    except (PolicyError, PolicyNotFoundError) as error:
+        say(f"note: left out: {error}")
+        return False
 
 
 def _published_tiers() -> dict[Variant, list[str]]:
@@ -115,7 +124,7 @@ def _print_record(record: Mapping[str, Any]) -> None:
     if not record:
         out.print("no expert policy is shipped: `imujoco train` makes one")
         return
-    if record["start"] == FOLDED:
+    if is_folded(record):
         out.print(
             f"expert       {record['algorithm']}, the universal policy, told this variant; no own training"
         )
@@ -126,7 +135,7 @@ def _print_record(record: Mapping[str, Any]) -> None:
     made = f"the policy of {record['start']} as it is"
     if record.get("steps"):
         made = f"{record['steps']:,} steps from {record['start']}, seed {record['seed']}"
-    if record["start"] != FOLDED:
+    if not is_folded(record):
         out.print(f"expert       {record['algorithm']}, {made}")
     out.print(
         f"return       {evaluation['return_mean']:.1f} ± {evaluation['return_std']:.1f} "

@@ -114,4 +114,6 @@ def _address(remote: str | None) -> str:
     address = remote or os.environ.get("MINARI_REMOTE")
     if not address:
         raise RemoteError("name a remote with --remote, or in MINARI_REMOTE: hf://<user> or gcp://<bucket>")
+    # The bars of huggingface_hub would stand between our lines. It reads this when it is imported.
+    os.environ.setdefault("HF_HUB_DISABLE_PROGRESS_BARS", "1")
     return address

@@ -18,8 +18,9 @@ from imujoco_minari.cli.estimates import training_line
 from imujoco_minari.cli.options import Output, argument, option
 from imujoco_minari.cli.printing import counted, out, print_json, print_table, say
 from imujoco_minari.cli.selection import Filters, VariantChoice
-from imujoco_minari.errors import ArgumentError
-from imujoco_minari.policies import expert_record, expert_variants, policies_folder
+from imujoco_minari.errors import CatalogueError
+from imujoco_minari.policies import expert_variants, policies_folder
+from imujoco_minari.policies.experts import readable_record
 from imujoco_minari.policies.standing import COLUMNS, share_of_base, standings
 from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS, Variant
 
@@ -89,9 +90,12 @@ def train_variants(
     from imujoco_minari.training.plan import Plan, default_state
 
     if universal and (robot is None or variants or category):
-        raise ArgumentError("--universal trains one policy a robot: give --robot ROBOT and no variants")
+        raise typer.BadParameter("--universal trains one policy a robot: give --robot ROBOT and no variants")
     chosen = VariantChoice(robot, category, everything, with_base, variants).variants()
-    changes = hyperparameter_changes(settings or [])
+    try:
+        changes = hyperparameter_changes(settings or [])
+    except CatalogueError as error:
+        raise typer.BadParameter(str(error)) from None
     if max_steps is not None:
         changes["max_steps"] = max_steps
     plan = Plan(
@@ -279,12 +283,13 @@ def policies(
         chosen = [variant for variant in chosen if variant in experts]
     else:
         chosen = list(expert_variants())
-    records = [dict(expert_record(variant)) for variant in chosen]
+    found = [(variant, dict(readable_record(variant))) for variant in chosen]
+    records = [record for _, record in found if record]
     if as_json:
         print_json(records)
         return
     columns = ("variant", "algorithm", "start", "steps", "return", "std", "min", "of base", "length")
-    rows = [_row(variant, record) for variant, record in zip(chosen, records, strict=True)]
+    rows = [_row(variant, record) for variant, record in found if record]
     print_table(columns, rows, numeric=columns[3:])
     out.print("", f"{counted(len(rows), 'policy')}; your own are in {policies_folder()}")
 

@@ -7,17 +7,18 @@ file takes precedence over a shipped file of the same name.
 
 from __future__ import annotations
 
-import json
 import os
+import warnings
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from imujoco_minari.errors import PolicyError, PolicyNotFoundError, VariantError
+from imujoco_minari.errors import PolicyError, PolicyNotFoundError, PolicyWarning, VariantError
 from imujoco_minari.policies.actors import Actor
-from imujoco_minari.policies.files import actor_of_bytes
+from imujoco_minari.policies.files import read_actor
+from imujoco_minari.policies.records import read_measured, read_own_record
 from imujoco_minari.policies.universal import UniversalPolicy, read_universal, universal_name
 from imujoco_minari.storage.files import write_json
 from imujoco_minari.variants import Variant
@@ -50,8 +51,10 @@ def expert_actor(variant: Variant, *, deterministic: bool = True) -> Actor:
     path = find_policy_file(f"{variant}.safetensors")
     if path is None:
         raise PolicyNotFoundError(f"{variant} has a training record, but {variant}.safetensors is missing")
-    actor = actor_of_bytes(path.read_bytes(), path.name, record["algorithm"], deterministic, record)
-    return actor.for_robot(variant.robot)
+    actor = read_actor(path, deterministic=deterministic, algorithm=record["algorithm"])
+    if actor.sha256 != record["weights_sha256"]:
+        raise PolicyError(f"{path}: these are not the weights that {variant}.json is the record of")
+    return replace(actor, record=record).for_robot(variant.robot)
 
 
 def expert_record(variant: Variant, folder: Path | None = None) -> Mapping[str, Any]:
@@ -71,7 +74,7 @@ def expert_record(variant: Variant, folder: Path | None = None) -> Mapping[str, 
     record = dict(own_record(variant, folder)) or _folded_record(variant, folder)
     kept = _measured_file(variant)
     if record and kept.is_file():
-        measured = _read_record(kept)
+        measured = read_measured(kept)
         if measured.get("weights_sha256") == record.get("weights_sha256"):
             record |= measured
     return record
@@ -88,7 +91,21 @@ def own_record(variant: Variant, folder: Path | None = None) -> Mapping[str, Any
         PolicyError: if the record cannot be read.
     """
     path = find_policy_file(f"{variant}.json", folder)
-    return {} if path is None else _read_record(path)
+    return {} if path is None else read_own_record(path, variant)
+
+
+def readable_record(variant: Variant, folder: Path | None = None) -> Mapping[str, Any]:
+    """Return what :func:`expert_record` returns. A record that cannot be read is left out with a warning."""
+    try:
+        return expert_record(variant, folder)
+    except (PolicyError, PolicyNotFoundError) as error:
+        warnings.warn(f"left out: {error}", PolicyWarning, stacklevel=2)
+        return {}
+
+
+def is_folded(record: Mapping[str, Any]) -> bool:
+    """Return whether a record is of a folded policy. The training of an own expert may start from one too."""
+    return "universal_sha256" in record
 
 
 def universal_policy(robot: str, folder: Path | None = None) -> UniversalPolicy | None:
@@ -136,16 +153,6 @@ def keep_measured(variant: Variant, measured: Mapping[str, Any]) -> None:
 
 def _measured_file(variant: Variant) -> Path:
     return policies_folder().parent / "measured" / f"{variant}.json"
-
-
-def _read_record(path: Path) -> Mapping[str, Any]:
-    try:
-        record = json.loads(path.read_text("utf-8"))
-    except ValueError as error:
-        raise PolicyError(f"{path}: not a training record: {error}") from None
-    if not isinstance(record, dict):
-        raise PolicyError(f"{path}: not a training record: no JSON object")
-    return record
 
 
 def expert_variants(folder: Path | None = None) -> tuple[Variant, ...]:
@@ -197,5 +204,14 @@ def find_policy_file(name: str, folder: Path | None = None) -> Path | None:
     """Return the path of a file in ``folder`` or in the package, or None.
 
     A ``folder`` of None means :func:`policies_folder`.
+
+    Raises:
+        PolicyError: if something else has this name, for example a folder or a named pipe.
     """
-    return next((place / name for place in _places(folder) if (place / name).is_file()), None)
+    for place in _places(folder):
+        path = place / name
+        if path.is_file():
+            return path
+        if os.path.lexists(path):
+            raise PolicyError(f"{path} is not a regular file")
+    return None

@@ -8,7 +8,7 @@ from typing import Any
 
 from imujoco_minari.errors import PolicyNotFoundError
 from imujoco_minari.policies.actors import Actor, Policy
-from imujoco_minari.policies.experts import FOLDED, expert_actor, expert_record, keep_measured
+from imujoco_minari.policies.experts import expert_actor, expert_record, is_folded, keep_measured
 from imujoco_minari.policies.measuring import measure
 from imujoco_minari.policies.rungs import (
     LADDER_EPISODES,
@@ -76,7 +76,7 @@ def weakness_of(variant: Variant) -> str:
     It is weak if it fell in its 100 episodes, or if it has less than half of the base expert's return.
     """
     record, base = measured_record(variant), measured_record(variant.base)
-    if record.get("start") != FOLDED or "evaluation" not in base:
+    if not is_folded(record) or "evaluation" not in base:
         return ""
     evaluation = record["evaluation"]
     share = evaluation["return_mean"] / base["evaluation"]["return_mean"]

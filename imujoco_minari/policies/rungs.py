@@ -35,7 +35,8 @@ def rungs_of_robot(base: Variant) -> list[dict[str, Any]]:
     rungs: list[dict[str, Any]] = []
     for name in policy_files(f"{base.robot}-*.rung-*.safetensors"):
         run, _, steps = name.removesuffix(".safetensors").partition(".rung-")
-        rungs.append(({} if run == str(base) else {"run": run}) | {"steps": int(steps)})
+        if steps.isdecimal():
+            rungs.append(({} if run == str(base) else {"run": run}) | {"steps": int(steps)})
     return sorted(rungs, key=lambda rung: (rung.get("run", ""), rung["steps"]))
 
 

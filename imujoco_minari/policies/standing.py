@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from imujoco_minari.policies.experts import expert_record
+from imujoco_minari.policies.experts import readable_record
 from imujoco_minari.policies.rungs import has_even_ranks, has_medium, mean_return
 from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS, Variant, catalogue, specification
 
@@ -71,19 +71,18 @@ def standings(
         categories: the categories; ``base`` is one of them.
         folder: folder to search for records; see :func:`~imujoco_minari.policies.expert_record`.
 
-    Raises:
-        PolicyError: if a record cannot be read.
+    A record that cannot be read is left out with a warning.
     """
     lines = []
     for robot in robots:
-        base = expert_record(Variant(robot), folder)
+        base = readable_record(Variant(robot), folder)
         for category in categories:
             if category != BASE and category not in specification(robot).categories:
                 continue
             variants = (Variant(robot),) if category == BASE else catalogue(robot, category)
             if not variants:
                 continue
-            records = [record for variant in variants if (record := expert_record(variant, folder))]
+            records = [record for variant in variants if (record := readable_record(variant, folder))]
             shares = [mean_return(record) / mean_return(base) for record in records] if base else []
             lines.append(
                 Standing(
@@ -104,11 +103,11 @@ def standings(
 
 def share_of_base(record: Mapping[str, Any], folder: Path | None = None) -> float | None:
     """Return the share of the expert with this training record; None when its base has no expert."""
-    base = expert_record(Variant.parse(record["variant"]).base, folder)
+    base = readable_record(Variant.parse(record["variant"]).base, folder)
     return mean_return(record) / mean_return(base) if base else None
 
 
 def seconds_trained(record: Mapping[str, Any]) -> float:
     """Return the seconds that a policy was trained, together with the policies that it was improved from."""
     before = record.get("before")
-    return float(record["wall_seconds"]) + (seconds_trained(before) if before else 0.0)
+    return float(record.get("wall_seconds", 0)) + (seconds_trained(before) if before else 0.0)

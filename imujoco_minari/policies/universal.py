@@ -22,6 +22,7 @@ from imujoco_minari.errors import ImujocoError, PolicyError, PolicyNotFoundError
 from imujoco_minari.policies.actors import Actor
 from imujoco_minari.policies.doors import Array
 from imujoco_minari.policies.files import MAX_SAFETENSORS_BYTES, actor_of_bytes
+from imujoco_minari.policies.records import check_measured
 from imujoco_minari.variants import Variant, specification
 from imujoco_minari.variants.context import parameters
 
@@ -191,8 +192,8 @@ def _read(weights: Path, path: Path, *changed: int) -> UniversalPolicy:
         measured = record["measured"]
         if not isinstance(measured, dict) or not isinstance(record["algorithm"], str):
             raise ValueError("measured must be a table and algorithm a text")
-        if not all(isinstance(each, dict) for each in measured.values()):
-            raise ValueError("measured must be a table of tables")
+        for each in measured.values():
+            check_measured(each)
         actor = actor_of_bytes(weights.read_bytes(), weights.name, record["algorithm"], True, {})
         return universal_of_record(actor, record)
     except (

@@ -9,7 +9,7 @@ from typing import Any
 
 from imujoco_minari.errors import DatasetError, PolicyError, VariantError, whole_number
 from imujoco_minari.policies import Policy
-from imujoco_minari.policies.experts import FOLDED
+from imujoco_minari.policies.experts import is_folded
 from imujoco_minari.policies.tiers import MEDIUM_REPLAY, TierPart, parts, range_parts
 from imujoco_minari.policies.universal import UniversalPolicy
 from imujoco_minari.storage import file_format
@@ -118,7 +118,7 @@ class Recipe:
         """
         for part in made_by:
             record = getattr(part.policy, "record", {})
-            if record.get("start") == FOLDED:
+            if is_folded(record):
                 return {"universal_sha256": record["universal_sha256"], "policy_told": record["told"]}
         return {}
 

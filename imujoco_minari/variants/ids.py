@@ -82,6 +82,12 @@ class Variant:
             return cls(robot)
         parts = rest.split("-")
         if not all(map(CHANGE_ID.fullmatch, parts)):
+            variant_id, tier = split_name(name_in(text))
+            if tier:
+                raise VariantError(
+                    f"{clipped(text)!r} is a dataset id, not a variant id; its variant is "
+                    f"{clipped(str(cls.parse(variant_id)))!r}"
+                )
             known = (str(each) for robot in known_robots() for each in (*_listed(robot), Variant(robot)))
             near = suggestion(name[:80], known)
             raise VariantError(f"malformed variant id {clipped(text)!r}{near}; {GRAMMAR}")

@@ -17,7 +17,7 @@ from safetensors.numpy import save_file
 from imujoco_minari.errors import DatasetError, PolicyNotFoundError, VariantError
 from imujoco_minari.policies import Actor, load_policy, policies_folder, references
 from imujoco_minari.policies.evaluation import evaluate
-from imujoco_minari.policies.experts import expert_record
+from imujoco_minari.policies.experts import expert_record, shipped_folder
 from imujoco_minari.policies.rungs import LADDER_SEED, mean_return, medium_rung, read_rung
 from imujoco_minari.policies.tiers import parts
 from imujoco_minari.publishing.publisher import publish
@@ -39,15 +39,18 @@ def trained(home: Path) -> None:
     folder = policies_folder()
     folder.mkdir(parents=True)
     save_file(dict(scaled(1.0).weights), folder / f"{VARIANT}.safetensors")
+    shipped = expert_record(VARIANT.base, shipped_folder())
+    expected = dict(shipped["evaluation"])
     ladder = []
     for steps, value in RUNGS.items():
         save_file(dict(scaled(1 + steps / 1000).weights), folder / f"hopper-base.rung-{steps}.safetensors")
-        ladder.append({"steps": steps, "evaluation": {"return_mean": value}})
-    evaluation = {"return_mean": 1000.0, "episodes": 100}
-    record = {
+        ladder.append({"steps": steps, "evaluation": expected | {"return_mean": value}})
+    record = dict(shipped) | {
+        "variant": str(VARIANT),
         "algorithm": "TQC",
-        "evaluation": evaluation,
-        "random": {"return_mean": 20.0, "episodes": 100},
+        "weights_sha256": scaled(1.0).sha256,
+        "evaluation": expected | {"return_mean": 1000.0},
+        "random": expected | {"return_mean": 20.0},
         "ladder": ladder,
     }
     (folder / f"{VARIANT}.json").write_text(json.dumps(record))

@@ -109,7 +109,7 @@ def test_the_dataset_states_the_universal_policy_and_the_reference_is_measured_o
 
 def test_a_weak_folded_expert_is_named_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     records = {
-        UNLISTED: {"start": FOLDED, "evaluation": {"return_mean": 900.0, "length_mean": 800.0}},
+        UNLISTED: {"universal_sha256": "0", "evaluation": {"return_mean": 900.0, "length_mean": 800.0}},
         "hopper-base": {"start": "scratch", "evaluation": {"return_mean": 3000.0, "length_mean": 1000.0}},
     }
     monkeypatch.setattr(

@@ -68,8 +68,10 @@ def test_the_command_line_passes_the_changes_on(
     assert run(["train", "hopper-massinc_37_torsogeom", *given, "--json"]) == 1
     assert plans[0].changes == {"gamma": 0.98, "max_steps": 9}
     assert json.loads(capsys.readouterr().out)[0]["error"] == "not tried"
-    assert run(["train", "hopper-base", "--set", "gama=1"]) == 1
+    assert run(["train", "hopper-base", "--set", "gama=1"]) == 2
     assert "did you mean 'gamma'" in capsys.readouterr().err
+    assert run(["train", "--universal"]) == 2
+    assert "give --robot ROBOT and no variants" in capsys.readouterr().err
 
 
 def test_a_page_with_a_value_that_a_hyperparameter_cannot_have_is_named(

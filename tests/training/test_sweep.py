@@ -348,7 +348,8 @@ def test_a_broken_record_is_named(home: Path) -> None:
     (folder / "hopper-massinc_12_leggeom.json").write_text("{")
     with pytest.raises(PolicyError, match="not a training record"):
         expert_record(Variant.parse("hopper-massinc_12_leggeom"))
-    (folder / "hopper-massinc_12_leggeom.json").write_text(json.dumps({"algorithm": "TQC"}))
+    record = dict(expert_record(BASE)) | {"variant": "hopper-massinc_12_leggeom"}
+    (folder / "hopper-massinc_12_leggeom.json").write_text(json.dumps(record))
     with pytest.raises(PolicyNotFoundError, match=r"but hopper-massinc_12_leggeom\.safetensors is missing"):
         expert_actor(Variant.parse("hopper-massinc_12_leggeom"))
 

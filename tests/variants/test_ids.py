@@ -172,3 +172,9 @@ def test_only_the_dataset_id_of_a_variant_is_one(text: str, words: list[str]) ->
 def test_a_wrong_tier_is_refused(tier: str) -> None:
     with pytest.raises(VariantError, match="malformed tier"):
         Variant.parse("hopper-base").dataset_id(tier)
+
+
+@pytest.mark.parametrize("variant", ["hopper-base", "hopper-massdec_25_leggeom"])
+def test_a_dataset_id_in_place_of_a_variant_id_names_its_variant(variant: str) -> None:
+    with pytest.raises(VariantError, match=f"is a dataset id, not a variant id; its variant is '{variant}'$"):
+        Variant.parse(f"imujoco/{variant}-medium-expert-v0")
