@@ -284,6 +284,7 @@ class Run:
             "library": f"sbx-rl {version('sbx-rl')}",
             "start": task.start,
             "start_sha256": task.start_sha256,
+            "start_told": task.start_told,
             "steps": progress.best_steps,
             "steps_trained": progress.steps,
             "updates": progress.updates,

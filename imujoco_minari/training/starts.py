@@ -1,8 +1,8 @@
 """The agent that a variant's training starts from: the folded one, or the base's where that scores higher.
 
 The universal policy is told the variant, so its folded actor is the expert that the variant has without
-training. Its critics are folded the same way. A robot without a universal policy starts from its base's
-agent.
+training. What it does when it is told another listed variant is tried too. Its critics are folded the same
+way. A robot without a universal policy starts from its base's agent.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ from imujoco_minari.policies.experts import FOLDED
 from imujoco_minari.policies.universal import universal_name
 from imujoco_minari.training.agents import actor_of, agent_actor, load_arrays, replace_actor
 from imujoco_minari.training.critics import fold_critics
+from imujoco_minari.training.distilling import best_told
 from imujoco_minari.training.selection import score as score_of
-from imujoco_minari.variants import Variant
+from imujoco_minari.variants import Variant, catalogue
 
 EPISODES, START_SEED = 5, 1_000_005
 
@@ -31,12 +32,14 @@ class Start:
         name: a base, or ``universal policy``.
         sha256: digest of its policy, from its record.
         agent: arrays of the agent.
+        told: the variant that the universal policy is told; empty for a base's agent.
         score: score of its evaluation on the variant; -inf if not evaluated.
     """
 
     name: str
     sha256: str
     agent: dict[str, Array] = field(repr=False)
+    told: str = ""
     score: float = float("-inf")
 
 
@@ -61,9 +64,12 @@ def best_start(variant: Variant, policies: Path) -> Start:
     universal = universal_policy(variant.robot, policies)
     if universal is not None:
         own = agent_file(universal_name(variant.robot), policies)
-        critics = {} if own is None else fold_critics(universal, variant, load_arrays(own))
-        actor = dict(universal.fold(variant).weights)
-        starts.append(Start(FOLDED, universal.sha256, replace_actor(base_agent | critics, actor)))
+        known = [variant.base, *catalogue(variant.robot)]
+        # Told another variant, it is sometimes better.
+        for told in dict.fromkeys([variant, *best_told(universal, variant, known)]):
+            critics = {} if own is None else fold_critics(universal, told, load_arrays(own))
+            agent = replace_actor(base_agent | critics, universal.fold(told).weights)
+            starts.append(Start(FOLDED, universal.sha256, agent, str(told)))
     for start in starts:
         measured = evaluate(
             variant,

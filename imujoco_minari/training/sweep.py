@@ -174,6 +174,7 @@ def task(variant: Variant, plan: Plan) -> Task:
         start=start.name,
         agent=start.agent,
         start_sha256=start.sha256,
+        start_told=start.told,
         target=target,
     )
 

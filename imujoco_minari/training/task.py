@@ -56,6 +56,7 @@ class Task:
         start: name of the agent that the run starts from, or ``scratch``.
         agent: the arrays of that agent; empty from scratch.
         start_sha256: digest of that agent's actor, from its record.
+        start_told: the variant that the universal policy is told, where the run starts from it.
         target: the run stops when an actor's evaluation over the deciding episodes has this score.
         over: the variants of a universal policy, which is told the variant; None for the variant alone.
     """
@@ -66,5 +67,6 @@ class Task:
     start: str = SCRATCH
     agent: dict[str, Array] = field(default_factory=dict, repr=False)
     start_sha256: str = ""
+    start_told: str = ""
     target: float = float("inf")
     over: Distribution | None = None

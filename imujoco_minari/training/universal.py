@@ -58,7 +58,7 @@ from imujoco_minari.training.distilling import (
 from imujoco_minari.training.hyperparameters import UNIVERSAL, hyperparameters
 from imujoco_minari.training.plan import Plan
 from imujoco_minari.training.run import OnInterval, Run, do_nothing, versions
-from imujoco_minari.training.selection import universal_of
+from imujoco_minari.training.selection import score, universal_of
 from imujoco_minari.training.sweep import Trained, lock_folder
 from imujoco_minari.training.task import Distribution, Task
 from imujoco_minari.variants import Change, Variant, catalogue
@@ -197,7 +197,7 @@ def train_universal(
         policy = universal_of_record(universal_of(weights, robot).actor, record)
         for variant in measured_variants(robot):
             record["measured"][str(variant)] = evaluations(variant, policy.fold(variant))
-        if present is not None and _mean_return(present.record) >= _mean_return(record):
+        if present is not None and _score(present.record) >= _score(record):
             return Trained(name, dict(present.record), tried=record)
         save_arrays(plan.policies / f"{name}.safetensors", weights)
         agent = load_arrays(folder / "run" / "best-agent.safetensors")
@@ -209,9 +209,9 @@ def train_universal(
     return Trained(name, record, created=True)
 
 
-def _mean_return(record: Mapping[str, Any]) -> float:
-    """Return the mean return of a universal policy over the variants that it was evaluated in."""
-    return float(np.mean([mean_return(measured) for measured in record["measured"].values()]))
+def _score(record: Mapping[str, Any]) -> float:
+    """Return the mean score of a universal policy over the variants that it was evaluated in."""
+    return float(np.mean([score(measured["evaluation"]) for measured in record["measured"].values()]))
 
 
 def _tell(say: Callable[[str], None], told: Round, weights: dict[str, Array]) -> None:

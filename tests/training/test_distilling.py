@@ -68,7 +68,9 @@ def test_the_best_of_several_policies_teaches() -> None:
 def test_a_universal_policy_is_told_what_makes_it_act_best() -> None:
     policy = universal_policy("hopper")
     assert policy is not None
-    others = [Variant.parse(f"hopper-{name}") for name in ("gravityinc_100_world", "gravitydec_50_world", "base")]
+    others = [
+        Variant.parse(f"hopper-{name}") for name in ("gravityinc_100_world", "gravitydec_50_world", "base")
+    ]
     heavy = Variant.parse("hopper-massinc_100_torsogeom")
     found = best_told(policy, heavy, [*others, heavy])
     assert len(found) == 3
@@ -115,7 +117,8 @@ def test_a_universal_policy_is_trained_killed_resumed_and_installed(
 ) -> None:
     monkeypatch.setattr(universal, "lessons", lambda *_: [lesson(BASE), lesson(HEAVY)])
     monkeypatch.setattr(universal, "catalogue", lambda robot: (HEAVY,))
-    returns = {"return_mean": 1e6}
+    names = ("episodes", "return_mean", "return_std", "return_min", "return_max", "length_mean")
+    returns = dict.fromkeys(names, 1e6)
 
     def measured(variant: Variant, policy: Actor) -> dict[str, Any]:
         return {"sha256": policy.sha256, "evaluation": dict(returns)}
