@@ -9,7 +9,7 @@ from functools import cache
 
 from imujoco_minari.benchmark import offline, reproduction
 from imujoco_minari.benchmark.few_shot import train_tier
-from imujoco_minari.benchmark.lines import Line, data_sha256, policies_sha256
+from imujoco_minari.benchmark.lines import Line, data_sha256, expert_variants, is_of_earlier_experts
 from imujoco_minari.benchmark.methods import METHODS, settings_of
 from imujoco_minari.errors import DatasetNotFoundError, VariantError
 from imujoco_minari.variants import Variant, held_out
@@ -26,26 +26,24 @@ def changes(lines: Iterable[Line]) -> list[str]:
 
 
 def _changes(line: Line) -> Iterator[str]:
-    method, settings, variants = line["method"], None, tuple[Variant, ...]()
+    method, settings, variants = line["method"], None, expert_variants(line)
     if line["protocol"] == reproduction.NAME:
         train, data = reproduction.published_split()
         yield from _data(train, line["train_sha256"])
         settings = asdict(reproduction.DEFAULT)
     elif line["protocol"] in (offline.NAME, offline.ACROSS):
-        variants = tuple(map(Variant.parse, line["variants"]))
         across = line["protocol"] == offline.ACROSS
         learnt, _ = offline.OfflineGrid(across=across, tiers=()).variants(line["robot"], line["tier"])
         data = [variant.dataset_id(line["tier"]) for variant in learnt]
         known = offline.ACROSS_ALGORITHMS if across else offline.ALGORITHMS
         settings = offline.algorithm_settings(known[method]) if method in known else None
     else:
-        variant = Variant.parse(line["variant"])
-        variants, data = (variant.base, variant), [variant.dataset_id(line["tier"])]
+        data = [variants[-1].dataset_id(line["tier"])]
         settings = settings_of(METHODS[method](0)) if method in METHODS else None
         if line["train_sha256"]:
             yield from _data(_train(line["split"], train_tier(line)), line["train_sha256"])
     yield from _data(data, line["data_sha256"])
-    if variants and policies_sha256(variants) != line["policies_sha256"]:
+    if is_of_earlier_experts(line):
         yield f"the expert of {' or '.join(map(str, variants))} has changed"
     if settings is not None and settings != line["settings"]:
         yield f"the settings of {method} have changed"

@@ -18,7 +18,6 @@ from imujoco_minari.benchmark.scores import (
     MethodScore,
     budgets_of,
     in_order,
-    shown_scores,
 )
 from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS
 
@@ -52,13 +51,13 @@ def few_shot_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
 
     The methods of others are not in them, nor demonstrations that cover only some variants of a split.
     """
-    counts = {(score.group, score.tier): score.variants for score in scores if score.category == ALL}
-    whole = [
+    own = [score for score in scores if score.category == ALL and not score.method.endswith(OTHERS_MARK)]
+    counts = {(score.group, score.tier): score.variants for score in own}
+    shown = [
         score
-        for score in scores
+        for score in own
         if counts[score.group, score.tier] == max(n for key, n in counts.items() if key[0] == score.group)
     ]
-    shown = shown_scores([score for score in whole if not score.method.endswith(OTHERS_MARK)])
     figures = _tier_figures(shown)
     for kind in dict.fromkeys(_kind(score) for score in shown):
         chosen = [score for score in shown if _kind(score) == kind]

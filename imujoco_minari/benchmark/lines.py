@@ -228,6 +228,22 @@ def policies_sha256(variants: tuple[Variant, ...]) -> str:
     return sha256(" ".join(digests).encode()).hexdigest()
 
 
+def expert_variants(line: Line) -> tuple[Variant, ...]:
+    """Return the variants whose experts decided a line; the published comparison has none."""
+    if "variants" in line:
+        return tuple(map(Variant.parse, line["variants"]))
+    if "variant" in line:
+        variant = Variant.parse(line["variant"])
+        return variant.base, variant
+    return ()
+
+
+def is_of_earlier_experts(line: Line) -> bool:
+    """Return whether the experts of a line are others than those of now."""
+    variants = expert_variants(line)
+    return bool(variants) and policies_sha256(variants) != line["policies_sha256"]
+
+
 @cache
 def references(variant: Variant) -> list[float]:
     """Return the returns of a variant that are scored 0 and 1: a random policy's and its expert's.

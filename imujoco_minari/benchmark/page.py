@@ -15,7 +15,7 @@ from imujoco_minari.benchmark.figures import (
     offline_figures,
     reproduction_figures,
 )
-from imujoco_minari.benchmark.lines import Line, latest, read_lines
+from imujoco_minari.benchmark.lines import Line, is_of_earlier_experts, latest, read_lines
 from imujoco_minari.benchmark.scores import OTHERS_MARK, MethodScore, few_shot_scores, offline_scores
 from imujoco_minari.benchmark.submissions import check_submission
 from imujoco_minari.benchmark.tables import (
@@ -31,8 +31,9 @@ _HOW = """A score is a normalised return: 0 is the random policy's and 1 the exp
 is an interquartile mean over variants and seeds. Its 95 % bootstrap interval in parentheses is over seeds:
 read it to compare methods on these variants. The one in brackets is over variants and seeds: read it to judge
 how a method would score in other variants of the same kind."""
-_STATED = """The results are of the experts that were published before the universal policies. [The
-benchmark](benchmark.md) defines every setting and says how to submit yours."""
+_STATED = "[The benchmark](benchmark.md) defines every setting and says how to submit yours."
+_EARLIER = """Results on this page are of earlier experts than those that this version ships. They are being
+computed again. Until then, a score of 1 is the return of the earlier expert."""
 _MADE = """`imujoco benchmark page` makes this page from the result lines, and `results.csv` beside it has
 every score."""
 _OTHERS = (
@@ -215,7 +216,8 @@ def results_page(results: Results, parts: Sequence[Section], findings: str = "")
         title, _, text = each.partition("\n")
         tables.append(folded(title.strip(), text))
     marked = _OTHERS if results.others else ""
-    texts = ["# Results", _STATED, *first, head, _HOW, marked, *tables, _MADE]
+    stated = f"{_EARLIER} {_STATED}" if any(map(is_of_earlier_experts, results.all())) else _STATED
+    texts = ["# Results", stated, *first, head, _HOW, marked, *tables, _MADE]
     return "\n\n".join(text.strip() for text in texts if text) + "\n"
 
 

@@ -13,24 +13,21 @@ import io
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
-from functools import cache
 
 import numpy as np
 
 from imujoco_minari.benchmark import offline, protocol
-from imujoco_minari.benchmark.lines import Line, policies_sha256
+from imujoco_minari.benchmark.lines import Line
 from imujoco_minari.benchmark.methods import COMPARISONS, METHODS
 from imujoco_minari.errors import BenchmarkError
 from imujoco_minari.policies.aggregates import bootstrap_interval, interquartile_mean
 from imujoco_minari.short_repr import short_repr
-from imujoco_minari.variants import BASE, Variant, catalogue
+from imujoco_minari.variants import BASE, Variant
 
 ALL = "all"
-# The variants with an expert that neither the base robot nor another variant has.
-OWN_EXPERT = "own-expert"
 # The variants that offline data do not contain.
 SHIFTED = "shifted"
-# The setting of the table of parts, and of the figure of return against steps.
+# The setting of the scores by category, and of the figure of return against steps.
 TYPICAL_BUDGET = "5x100"
 # Follows the names of the methods of others.
 OTHERS_MARK = " †"
@@ -48,9 +45,8 @@ class MethodScore:
         method: name of the method.
         budget: how much was demonstrated; empty for offline data.
         steps: gradient steps.
-        category: the category of the variants; ``all`` for all of them, and ``own-expert`` for those with
-            an expert that neither the base robot nor another variant has. In offline learning ``base`` for
-            the base robot, and ``shifted`` for the variants that the data do not contain.
+        category: the category of the variants; ``all`` for all of them. In offline learning ``base`` for the
+            base robot, and ``shifted`` for the variants that the data do not contain.
         iqm: interquartile mean of the scores.
         low: lower end of the 95 % interval.
         high: upper end of the 95 % interval.
@@ -91,15 +87,11 @@ _Values = dict[str, dict[int, float]]
 
 
 def few_shot_scores(lines: Iterable[Line]) -> list[MethodScore]:
-    """Return the scores of few-shot lines: over all variants of a split, and over some of them.
-
-    Each score is of all variants, of a category, or of those that have an expert of their own.
-    """
+    """Return the scores of few-shot lines: over all variants of a split, and over each category."""
     returns: dict[_Key, _Values] = defaultdict(lambda: defaultdict(dict))
     errors: dict[_Key, list[float]] = defaultdict(list)
     for line in lines:
-        variant = Variant.parse(line["variant"])
-        categories = [ALL, variant.category, *([OWN_EXPERT] if _has_own_expert(variant) else [])]
+        categories = (ALL, Variant.parse(line["variant"]).category)
         for steps, result in line["results"].items():
             for each in categories:
                 key = (line["split"], line["tier"], line["method"], line["budget"], int(steps), each)
@@ -108,13 +100,6 @@ def few_shot_scores(lines: Iterable[Line]) -> list[MethodScore]:
                 errors[key].append(result["error"])
     scores = [_score(key, values, float(np.median(errors[key]))) for key, values in returns.items()]
     return list(filter(None, scores))
-
-
-@cache
-def _has_own_expert(variant: Variant) -> bool:
-    """Return whether neither the base robot nor another variant of the catalogue has a variant's expert."""
-    others = {*catalogue(variant.robot), variant.base} - {variant}
-    return policies_sha256((variant,)) not in {policies_sha256((other,)) for other in others}
 
 
 def offline_scores(lines: Iterable[Line]) -> list[MethodScore]:
@@ -134,12 +119,6 @@ def offline_scores(lines: Iterable[Line]) -> list[MethodScore]:
                     key = (group, line["tier"], line["method"], "", int(updates), each)
                     returns[key][variant][line["seed"]] = score
     return list(filter(None, (_score(key, values, float("nan")) for key, values in returns.items())))
-
-
-def shown_scores(scores: Sequence[MethodScore]) -> list[MethodScore]:
-    """Return the scores that figures show: of variants with their own expert, or of all if there are none."""
-    has_own = {(s.group, s.tier) for s in scores if s.category == OWN_EXPERT}
-    return [s for s in scores if s.category == (OWN_EXPERT if (s.group, s.tier) in has_own else ALL)]
 
 
 def budgets_of(scores: Sequence[MethodScore]) -> list[str]:

@@ -12,14 +12,12 @@ from imujoco_minari.benchmark.methods import COMPARISONS
 from imujoco_minari.benchmark.offline import ACROSS_ALGORITHMS, ALGORITHMS, ALL_TIERS, SHIFTED_TIER
 from imujoco_minari.benchmark.scores import (
     ALL,
-    OWN_EXPERT,
     SHIFTED,
     TYPICAL_BUDGET,
     MethodScore,
     budgets_of,
     few_shot_scores,
     in_order,
-    shown_scores,
 )
 from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS
 
@@ -28,25 +26,21 @@ Table = tuple[str, list[str], list[list[str]]]
 
 
 def few_shot_tables(scores: Sequence[MethodScore]) -> str:
-    """Return Markdown tables of few-shot scores, folded by split: by budget, and by parts of a split."""
+    """Return Markdown tables of few-shot scores, folded by split: by budget, and by category."""
     parts = []
-    for group, tier in dict.fromkeys((score.group, score.tier) for score in scores):
+    whole = [score for score in scores if score.category == ALL]
+    for group, tier in dict.fromkeys((score.group, score.tier) for score in whole):
         own = [score for score in scores if (score.group, score.tier) == (group, tier)]
-        shown = shown_scores(own)
-        count, whole = shown[0].variants, max(score.variants for score in own)
-        which = " with an expert of their own" if shown[0].category == OWN_EXPERT else ""
-        columns, rows = _by_budget(shown)
-        text = f"{count} of {whole} held-out variants{which}:\n\n{table(columns, rows)}"
+        columns, rows = _by_budget([score for score in own if score.category == ALL])
         typical = [s for s in own if s.budget == TYPICAL_BUDGET or s.method in COMPARISONS]
-        order = (ALL, OWN_EXPERT, *CATEGORIES)
-        categories = [category for category in order if any(s.category == category for s in typical)]
-        rows = []
-        for method in in_order({score.method for score in typical}):
-            most = max(score.steps for score in typical if score.method == method)
-            by = {s.category: s for s in typical if (s.method, s.steps) == (method, most)}
-            rows.append([method, str(most), *(_cell(by.get(category)) for category in categories)])
-        text += f"\nAll held-out variants and parts of them, with {TYPICAL_BUDGET} steps demonstrated:\n\n"
-        parts.append(folded(f"{group}, {tier}", text + table(["method", "steps", *categories], rows)))
+        by = {(s.method, str(s.steps), s.category): s for s in typical}
+        for category in CATEGORIES:
+            if any(score.category == category for score in typical):
+                columns.append(f"{category}, {TYPICAL_BUDGET}")
+                for row in rows:
+                    row.append(_cell(by.get((row[0], row[1], category))))
+        count = max(score.variants for score in own)
+        parts.append(folded(f"{group}, {tier}, {count} held-out variants", table(columns, rows)))
     return "\n\n".join(parts)
 
 

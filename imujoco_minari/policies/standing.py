@@ -108,6 +108,9 @@ def share_of_base(record: Mapping[str, Any], folder: Path | None = None) -> floa
 
 
 def seconds_trained(record: Mapping[str, Any]) -> float:
-    """Return the seconds that a policy was trained, together with the policies that it was improved from."""
+    """Return the seconds that a policy was trained, together with the policies that it was improved from.
+
+    A folded expert has no training of its own: 0.
+    """
     before = record.get("before")
     return float(record.get("wall_seconds", 0)) + (seconds_trained(before) if before else 0.0)

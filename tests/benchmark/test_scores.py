@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from imujoco_minari.benchmark.figures import few_shot_figures
+from imujoco_minari.benchmark.lines import policies_sha256
 from imujoco_minari.benchmark.page import Results, results_page, sections
 from imujoco_minari.benchmark.reproduction import SHOTS, STEPS
 from imujoco_minari.benchmark.scores import few_shot_scores, offline_scores, to_csv
 from imujoco_minari.benchmark.tables import few_shot_tables
 from imujoco_minari.errors import BenchmarkError
+from imujoco_minari.variants import Variant
 
 VARIANTS = ("hopper-massinc_200_leggeom", "hopper-massdec_50_leggeom", "hopper-frictiondec_50_feet")
 
@@ -31,6 +34,7 @@ def few_shot_line(
         "seed": seed,
         "versions": {"jax": "1.0"},
         "references": [100.0, 1100.0],
+        "policies_sha256": policies_sha256((Variant("hopper"), Variant.parse(variant))),
         "results": {"0": result, "25": result},
     }
 
@@ -45,7 +49,9 @@ def offline_line(method: str, seed: int, score: float) -> dict[str, Any]:
         "seed": seed,
         "checkpoints": [5, 10],
         "versions": {"jax": "1.0"},
+        "variants": names,
         "references": {name: [0.0, 100.0] for name in names},
+        "policies_sha256": policies_sha256(tuple(map(Variant.parse, names))),
         "results": {
             name: {str(n): {"returns": [10.0 * n * score / (i + 1)]} for n in (5, 10)}
             for i, name in enumerate(names)
@@ -89,9 +95,6 @@ def test_a_score_is_the_interquartile_mean_over_variants_and_seeds() -> None:
     assert (whole.variants, whole.runs, whole.error) == (3, 2, 0.5)
     mass = scores["scratch", "5x100", 25, "mass"]
     assert (mass.iqm, mass.variants) == (pytest.approx(0.1), 2)
-    # The expert of the second variant is the base's.
-    own = scores["scratch", "5x100", 25, "own-expert"]
-    assert (own.iqm, own.variants) == (pytest.approx(0.15), 2)
     assert (
         scores["told", "1x100", 0, "all"].low == scores["told", "1x100", 0, "all"].high == pytest.approx(0.8)
     )
@@ -115,8 +118,12 @@ def test_a_seed_that_a_variant_lacks_is_left_out() -> None:
     lines += [few_shot_line("maml", VARIANTS[1], seed, seed / 10) for seed in (0, 1)]
     score = few_shot_scores(lines)[0]
     assert (score.iqm, score.runs, score.variants) == (pytest.approx(0.1), 1, 2)
-    # No seed serves both variants. Only the first has an expert of its own.
-    assert {score.category for score in few_shot_scores([lines[1], lines[2]])} == {"own-expert"}
+    # No seed serves both variants.
+    assert few_shot_scores([lines[1], lines[2]]) == []
+    other = few_shot_line("maml", VARIANTS[2], 0, 0.1)
+    apart = few_shot_scores([lines[1], other])
+    assert {score.category for score in apart} == {"mass", "friction"}
+    assert (few_shot_tables(apart), few_shot_figures(apart)) == ("", [])
 
 
 def test_offline_scores_separate_the_base_from_the_variants() -> None:
@@ -152,13 +159,12 @@ def test_the_page_has_every_method_and_its_files_are_reproducible(tmp_path: Path
     assert text == results_page(results, sections(results, results.scores()), "What was found.")
     assert text.index("![") < text.index("What was found.") < text.index("<details>")
     assert "| mine | 25 | 0.15 (" in text
-    assert "2 of 3 held-out variants with an expert of their own:" in text
-    shared = [line for line in FEW if line["variant"] == VARIANTS[1]]
-    assert "1 of 1 held-out variants:" in few_shot_tables(few_shot_scores(shared))
+    assert "<summary>hopper-extremes-v1, expert, 3 held-out variants</summary>" in text
     without = [line for line in FEW if line["budget"] == "5x100" or line["method"] == "told"]
-    assert "| method | steps | 5x100 |\n" in few_shot_tables(few_shot_scores(without))
+    columns = "| method | steps | 5x100 | mass, 5x100 | friction, 5x100 |\n"
+    assert columns in few_shot_tables(few_shot_scores(without))
     same = "0.80 (0.80 to 0.80) [0.80 to 0.80]"
-    assert f"| told | 0 | {same} | {same} |" in text
+    assert f"| told | 0 | {same} | {same} | {same} | 0.80 (0.80 to 0.80) |" in text
     assert "| medium-expert | 5 | 0.2" in text
     assert "| medium-expert | 10 | 0.45 (" in text
     assert "| hopper | friction | 0.2" in text
@@ -176,6 +182,15 @@ def test_the_page_has_every_method_and_its_files_are_reproducible(tmp_path: Path
         for method in {method for panel in figure.panels.values() for method in panel}:
             assert method in svg
     assert len(to_csv(few_scores).splitlines()) == 1 + len(few_scores)
+
+
+@pytest.mark.parametrize("kind", ["few_shot", "offline", "across"])
+def test_the_page_says_that_a_line_is_of_an_earlier_expert(kind: str) -> None:
+    now = Results(FEW, OFF, ACROSS, REPRODUCED)
+    first, *others = getattr(now, kind)
+    before = replace(now, **{kind: [first | {"policies_sha256": "0"}, *others]})
+    says = ["earlier experts" in results_page(each, sections(each, each.scores())) for each in (now, before)]
+    assert says == [False, True]
 
 
 def test_a_line_with_equal_references_is_named_as_such() -> None:

@@ -14,6 +14,7 @@ from imujoco_minari.errors import PolicyError, PolicyNotFoundError
 from imujoco_minari.policies import Actor, expert_record, own_record, universal_policy
 from imujoco_minari.policies.experts import FOLDED, shipped_folder
 from imujoco_minari.policies.references import measured_record, weakness_of
+from imujoco_minari.policies.standing import seconds_trained
 from imujoco_minari.policies.universal import read_universal, whole_context
 from imujoco_minari.variants import ROBOTS, Variant, catalogue, specification
 from imujoco_minari.variants.context import parameters
@@ -75,6 +76,7 @@ def test_every_id_has_an_expert_that_says_what_it_was_told() -> None:
     assert record["start"] == FOLDED
     assert record["told"] == {"mass/torsogeom": 37}
     assert own_record(Variant.parse(UNLISTED)) == {}
+    assert seconds_trained(expert_record(Variant.parse(UNLISTED))) == 0
     policy = load_policy(UNLISTED)
     assert isinstance(policy, Actor)
     assert policy.sha256 == record["weights_sha256"]

@@ -165,7 +165,7 @@ def test_benchmark() -> None:
         *(Budget(5, 100), OfflineGrid()),
         FewShotGrid(METHODS, [held_out(name) for name in held_out_names("hopper")]),
         MethodScore(
-            *("hopper-friction-v1", "expert", "base-expert", "5x100", 2000, "own-expert"),
+            *("hopper-friction-v1", "expert", "base-expert", "5x100", 2000, "all"),
             *(1 / 3, 1 / 3, 1 / 3, 1 / 3, 1 / 3, 1 / 3, 154, 5),
         ),
     ):
