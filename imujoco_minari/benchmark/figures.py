@@ -51,11 +51,11 @@ def few_shot_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
 
     The methods of others are not in them, nor demonstrations that cover only some variants of a split.
     """
-    own = [score for score in scores if score.category == ALL and not score.method.endswith(OTHERS_MARK)]
-    counts = {(score.group, score.tier): score.variants for score in own}
+    whole = [score for score in scores if score.category == ALL and not score.method.endswith(OTHERS_MARK)]
+    counts = {(score.group, score.tier): score.variants for score in whole}
     shown = [
         score
-        for score in own
+        for score in whole
         if counts[score.group, score.tier] == max(n for key, n in counts.items() if key[0] == score.group)
     ]
     figures = _tier_figures(shown)
