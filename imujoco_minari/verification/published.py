@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from imujoco_minari.errors import DatasetError, NotFoundError, VariantError
-from imujoco_minari.policies.experts import own_record, shipped_folder
+from imujoco_minari.policies.experts import expert_record, shipped_folder
 from imujoco_minari.storage import minari_root
 from imujoco_minari.storage.metadata import read_metadata
 from imujoco_minari.variants import EXPERT, parse_dataset_id
@@ -92,5 +92,5 @@ def _by_shipped_expert(dataset_id: str, stated: Mapping[str, Any]) -> bool:
         variant, tier = parse_dataset_id(dataset_id)
     except VariantError:
         return False
-    shipped = own_record(variant, shipped_folder()).get("weights_sha256", "") if tier == EXPERT else ""
+    shipped = expert_record(variant, shipped_folder()).get("weights_sha256", "") if tier == EXPERT else ""
     return bool(stated.get("policy_sha256") == shipped)
