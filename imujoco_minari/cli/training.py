@@ -22,7 +22,7 @@ from imujoco_minari.errors import CatalogueError
 from imujoco_minari.policies import expert_variants, policies_folder
 from imujoco_minari.policies.experts import readable_record
 from imujoco_minari.policies.standing import COLUMNS, share_of_base, standings
-from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS, Variant
+from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS, Variant, bases, catalogue
 
 if TYPE_CHECKING:
     from imujoco_minari.publishing.outcome import Published
@@ -255,19 +255,20 @@ def policies(
     ] = False,
     as_json: options.AsJson = False,
 ) -> None:
-    """List the expert policies and their returns.
+    """List the experts and their returns.
 
-    It lists your own policies and the shipped ones. Without filters, it lists every policy, also those of
-    the base robots and of variants that the catalogue does not have.
+    It lists your own policies and the shipped ones. A variant without a policy of its own acts as the
+    universal policy of its robot. Without filters, it lists every expert, also those of the base robots and
+    of variants that have a policy but are not in the catalogue.
 
     Examples: `imujoco policies`, `imujoco policies --robot hopper --with-base`, `imujoco policies --summary`
     """
     filters = Filters(robot, category, with_base=with_base)
     chosen = filters.variants()
     if summary:
-        bases = [BASE] if with_base or not filters else []
+        base = [BASE] if with_base or not filters else []
         robots = ROBOTS if robot is None else (robot,)
-        lines = standings(robots, bases + [each for each in CATEGORIES if category in (None, each)])
+        lines = standings(robots, base + [each for each in CATEGORIES if category in (None, each)])
         if as_json:
             print_json([line._asdict() for line in lines])
             return
@@ -278,18 +279,15 @@ def policies(
             "medium and ranked: number of policies whose rungs have the returns that these tiers need",
         )
         return
-    if filters or with_base:
-        experts = set(expert_variants())
-        chosen = [variant for variant in chosen if variant in experts]
-    else:
-        chosen = list(expert_variants())
-    found = [(variant, dict(readable_record(variant))) for variant in chosen]
-    records = [record for _, record in found if record]
+    if not filters and not with_base:
+        chosen = list(dict.fromkeys((*bases(), *catalogue(), *expert_variants())))
+    found = {variant: dict(readable_record(variant)) for variant in chosen}
+    records = [record for record in found.values() if "evaluation" in record]
     if as_json:
         print_json(records)
         return
     columns = ("variant", "algorithm", "start", "steps", "return", "std", "min", "of base", "length")
-    rows = [_row(variant, record) for variant, record in found if record]
+    rows = [_row(variant, record) for variant, record in found.items() if record in records]
     print_table(columns, rows, numeric=columns[3:])
     out.print("", f"{counted(len(rows), 'policy')}; your own are in {policies_folder()}")
 
@@ -320,7 +318,7 @@ def _row(variant: Variant, record: dict[str, Any]) -> list[str]:
         str(variant),
         record["algorithm"],
         record["start"],
-        f"{record['steps']:,}",
+        f"{record['steps']:,}" if "steps" in record else "-",
         *numbers,
         "-" if share is None else f"{share:.2f}",
         f"{evaluation['length_mean']:.0f}",

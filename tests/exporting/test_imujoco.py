@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +20,13 @@ from imujoco_minari.envs import make
 from imujoco_minari.envs.mjcf import canonical_mjcf
 from imujoco_minari.errors import DatasetError, DatasetExistsError, DatasetNotFoundError, VariantError
 from imujoco_minari.exporting import export, export_archive, imujoco
+from imujoco_minari.policies.experts import policies_folder, shipped_folder
+from imujoco_minari.storage.files import write_json
 from imujoco_minari.storage.metadata import complete_metadata
 from imujoco_minari.variants import Variant, catalogue
 from imujoco_minari.variants.original import file_name
 
-# A friction of the feet makes this Hopper fall early; the length changes its healthy height.
+# The length changes the healthy height of this Hopper, and the base's expert falls in it.
 FALLING, CHEETAH, WALKER = (
     "hopper-lengthdec_25_footgeom",
     "halfcheetah-jointdec_25_bfoot",
@@ -75,6 +78,10 @@ def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("MINARI_DATASETS_PATH", str(place / "minari"))
         patch.setattr("imujoco_minari.policies.references.EPISODES", 1)
+        patch.setenv("IMUJOCO_HOME", str(place / "home"))
+        own, base = policies_folder(), shipped_folder() / "hopper-base.json"
+        write_json(own / f"{FALLING}.json", json.loads(base.read_text("utf-8")) | {"variant": FALLING})
+        shutil.copy(base.with_suffix(".safetensors"), own / f"{FALLING}.safetensors")
         for variant in (FALLING, CHEETAH, WALKER):
             publish(variant, episodes=2)
         export_archive(IDS, place / "imujoco")
@@ -83,8 +90,9 @@ def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def place(published: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The archive; the Minari root is the one with its datasets."""
+    """The archive; the Minari root and the policies are those of its datasets."""
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(published / "minari"))
+    monkeypatch.setenv("IMUJOCO_HOME", str(published / "home"))
     return published / "imujoco"
 
 
