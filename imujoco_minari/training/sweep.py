@@ -20,7 +20,6 @@ from typing import Any
 from imujoco_minari.errors import ImujocoError, JobError, StorageError, TrainingError
 from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies import expert_record, own_record
-from imujoco_minari.policies.experts import FOLDED
 from imujoco_minari.policies.rungs import mean_return
 from imujoco_minari.storage.files import write_json
 from imujoco_minari.training.hyperparameters import (
@@ -101,8 +100,8 @@ def train(variant: Variant, plan: Plan, on_interval: OnInterval = do_nothing) ->
         episodes = record["selection"]["episodes"]
         rivals = (each(variant, plan.policies, episodes) for each in (own_score, folded_score))
         better = reached > max(rivals)
-        # A start that was not trained further is the folded policy itself.
-        if better and not (record["start"] == FOLDED and record["steps"] == 0):
+        # A start that was told this variant and not trained further is the folded policy itself.
+        if better and not (record["start_told"] == str(variant) and record["steps"] == 0):
             installed = install(variant, folder, record, run.progress.evaluations, plan.policies)
             outcome = Trained(variant, installed, created=True)
         else:

@@ -16,6 +16,7 @@ from imujoco_minari.cli.training import describe_trained
 from imujoco_minari.errors import PolicyError, PolicyNotFoundError, TrainingError
 from imujoco_minari.policies import expert_actor, expert_record, expert_variants, policies_folder
 from imujoco_minari.policies.evaluation import Evaluation, evaluate
+from imujoco_minari.policies.experts import FOLDED
 from imujoco_minari.policies.references import CONFIRMING_SEED, ladder
 from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.training import selection, sweep
@@ -82,12 +83,20 @@ def test_the_better_of_own_and_folded_is_the_expert(
     assert bool(again.tried) == bool(outcome.tried)
 
 
-def test_a_folded_start_that_reaches_the_target_stays(tmp_path: Path) -> None:
+@pytest.mark.parametrize("other", [False, True])
+def test_a_start_from_the_universal_policy_is_an_expert_of_its_own_if_it_was_told_another_variant(
+    other: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     unlisted = Variant.parse("hopper-massdec_26_leggeom")
+    told = str(LIGHT_LEG if other else unlisted)
+    start = replace(sweep.best_start(unlisted, tmp_path), name=FOLDED, told=told)
+    monkeypatch.setattr(sweep, "best_start", lambda variant, policies: start)
+    monkeypatch.setattr(sweep, "folded_score", lambda *_: -1e9)
     (outcome,) = train_all([unlisted], Plan(tmp_path / "state", changes=TINY, target=-1e9))
-    assert (outcome.created, outcome.error) == (False, "")
-    assert (outcome.tried["start"], outcome.tried["steps_trained"]) == ("universal policy", 0)
-    assert not list(policies_folder().glob(f"{unlisted}*"))
+    assert (outcome.created, outcome.error) == (other, "")
+    record = outcome.record if other else outcome.tried
+    assert (record["start"], record["start_told"], record["steps_trained"]) == (FOLDED, told, 0)
+    assert bool(list(policies_folder().glob(f"{unlisted}*"))) == other
 
 
 def test_a_variant_is_trained_from_its_base_and_published(tmp_path: Path, unshipped: None) -> None:
