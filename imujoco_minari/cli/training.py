@@ -79,7 +79,8 @@ def train_variants(
     folder --output.
 
     With --universal, one policy of the robot is trained that is told its variant. It acts in every variant
-    that has no expert of its own. The best known policies are distilled into it first, which takes minutes.
+    that has no expert of its own. It is trained in many variants first, which takes an hour. Then the best
+    known policies are distilled into it.
 
     Examples: `imujoco train hopper-massinc_37_torsogeom`,
     `imujoco train --universal --robot hopper`,
@@ -220,7 +221,9 @@ def describe_trained(outcome: Trained, plan: Plan) -> tuple[str, ...]:
 def describe_universal(outcome: Trained) -> tuple[str, ...]:
     """Return what to print of a universal policy that was trained or left alone."""
     if not outcome.created:
-        return "left alone", f"{outcome.variant}: it exists already; --improve trains it further"
+        if outcome.tried:
+            return "kept", f"{outcome.variant}: the new one is not better; try another --seed"
+        return "left alone", f"{outcome.variant}: it exists already; --improve trains another round"
     measured = outcome.record["measured"]
     base = measured[f"{outcome.record['robot']}-{BASE}"]["evaluation"]["return_mean"]
     shares = sorted(each["evaluation"]["return_mean"] / base for each in measured.values())
@@ -282,12 +285,12 @@ def policies(
     if not filters and not with_base:
         chosen = list(dict.fromkeys((*bases(), *catalogue(), *expert_variants())))
     found = {variant: dict(readable_record(variant)) for variant in chosen}
-    records = [record for record in found.values() if "evaluation" in record]
+    found = {variant: record for variant, record in found.items() if "evaluation" in record}
     if as_json:
-        print_json(records)
+        print_json(list(found.values()))
         return
     columns = ("variant", "algorithm", "start", "steps", "return", "std", "min", "of base", "length")
-    rows = [_row(variant, record) for variant, record in found.items() if record in records]
+    rows = [_row(variant, record) for variant, record in found.items()]
     print_table(columns, rows, numeric=columns[3:])
     out.print("", f"{counted(len(rows), 'policy')}; your own are in {policies_folder()}")
 

@@ -107,9 +107,9 @@ def best_teacher(variant: Variant, candidates: dict[str, Actor], base_return: fl
 
 
 def best_told(universal: UniversalPolicy, variant: Variant, others: Sequence[Variant]) -> list[Variant]:
-    """Return what a universal policy can be told to do well in a variant: the best three, by one episode.
+    """Return the three variants that a universal policy should be told to do best in a variant.
 
-    What it was told in training is not always best: a policy that is told a lighter leg may run faster.
+    One episode decides. The variant itself is not always best: told a lighter leg, a policy may run faster.
 
     Args:
         universal: the universal policy.
@@ -188,13 +188,12 @@ def distil(
     return student.weights()
 
 
-def told_nothing(actor: Actor, parameters: int) -> Actor:
+def with_unused_context(actor: Actor, parameters: int) -> Actor:
     """Return an actor of observation and context that acts as one of the observation alone."""
     first = actor.weights[FIRST_WEIGHT]
     zeros = np.zeros((len(first), parameters), first.dtype)
-    return replace(
-        actor, weights=dict(actor.weights) | {FIRST_WEIGHT: np.concatenate([first, zeros], axis=1)}
-    )
+    widened = {FIRST_WEIGHT: np.concatenate([first, zeros], axis=1)}
+    return replace(actor, weights=dict(actor.weights) | widened)
 
 
 def label(teacher: Actor, observations: Array) -> Array:
@@ -218,7 +217,7 @@ class Student:
         import jax.numpy as jnp
         import optax
 
-        whole = start if start.observation_size > observation_size else told_nothing(start, parameters)
+        whole = start if start.observation_size > observation_size else with_unused_context(start, parameters)
         weights = {name: np.array(array, np.float32) for name, array in whole.weights.items()}
         self._hidden = [f"latent_pi.{2 * layer}" for layer in range(len(start.hidden_sizes))]
         self._params, self._batch = weights, settings.batch_size

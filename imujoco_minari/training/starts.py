@@ -1,8 +1,8 @@
 """The agent that a variant's training starts from: the folded one, or the base's where that scores higher.
 
 The universal policy is told the variant, so its folded actor is the expert that the variant has without
-training. What it does when it is told another listed variant is tried too. Its critics are folded the same
-way. A robot without a universal policy starts from its base's agent.
+training. Actors that are told another listed variant are tried too. The critics are folded the same way. A
+robot without a universal policy starts from its base's agent.
 """
 
 from __future__ import annotations

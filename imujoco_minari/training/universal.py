@@ -53,7 +53,7 @@ from imujoco_minari.training.distilling import (
     best_teacher,
     best_told,
     distil,
-    told_nothing,
+    with_unused_context,
 )
 from imujoco_minari.training.hyperparameters import UNIVERSAL, hyperparameters
 from imujoco_minari.training.plan import Plan
@@ -198,15 +198,17 @@ def train_universal(
         for variant in measured_variants(robot):
             record["measured"][str(variant)] = evaluations(variant, policy.fold(variant))
         if present is not None and _score(present.record) >= _score(record):
-            return Trained(name, dict(present.record), tried=record)
-        save_arrays(plan.policies / f"{name}.safetensors", weights)
-        agent = load_arrays(folder / "run" / "best-agent.safetensors")
-        critics = {path: array for path, array in agent.items() if path.startswith(CRITICS)}
-        save_arrays(plan.policies / f"{name}.agent.safetensors", critics)
-        # The record is written last. Its presence means that the policy is complete.
-        write_json(plan.policies / f"{name}.json", record)
+            outcome = Trained(name, dict(present.record), tried=record)
+        else:
+            save_arrays(plan.policies / f"{name}.safetensors", weights)
+            agent = load_arrays(folder / "run" / "best-agent.safetensors")
+            critics = {path: array for path, array in agent.items() if path.startswith(CRITICS)}
+            save_arrays(plan.policies / f"{name}.agent.safetensors", critics)
+            # The record is written last. Its presence means that the policy is complete.
+            write_json(plan.policies / f"{name}.json", record)
+            outcome = Trained(name, record, created=True)
         shutil.rmtree(folder)
-    return Trained(name, record, created=True)
+    return outcome
 
 
 def _score(record: Mapping[str, Any]) -> float:
@@ -230,7 +232,7 @@ def _task(robot: str, plan: Plan) -> Task:
     listed = (base, *catalogue(robot))
     contexts = np.array([whole_context(variant) for variant in listed], np.float32)
     base_return, agent = mean_return(own_record(base, plan.policies)), load_arrays(path)
-    actor = told_nothing(actor_of(agent_actor(agent), robot), contexts.shape[1])
+    actor = with_unused_context(actor_of(agent_actor(agent), robot), contexts.shape[1])
     return Task(
         base,
         hyperparameters(robot, UNIVERSAL, **plan.changes),

@@ -116,14 +116,19 @@ def test_a_record_with_wrong_values_is_named(home: Path, change: dict[str, Any],
         assert readable_record(LIGHT_LEG) == {}
 
 
+def grow(path: Path) -> None:
+    """Give a file 5 GB, which take no space."""
+    with path.open("wb") as file:
+        file.truncate(5 * 2**30)
+
+
 def test_a_record_of_any_size_or_depth_is_refused(home: Path) -> None:
     policies_folder().mkdir(parents=True)
     path = policies_folder() / f"{LIGHT_LEG}.json"
     path.write_text("[" * 100_000)
     with pytest.raises(PolicyError, match=r"json: not a training record"):
         expert_record(LIGHT_LEG)
-    with path.open("wb") as file:
-        file.truncate(5 * 2**30)
+    grow(path)
     with pytest.raises(PolicyError, match=r"json: not a training record: it has 5368709120 bytes"):
         expert_record(LIGHT_LEG)
 
@@ -150,8 +155,7 @@ def test_weights_of_any_size_and_those_of_another_record_are_refused(home: Path)
     save_file(dict(random_actor().weights), path)
     with pytest.raises(PolicyError, match=rf"{LIGHT_LEG}\.safetensors: these are not the weights"):
         expert_actor(LIGHT_LEG)
-    with path.open("wb") as file:
-        file.truncate(5 * 2**30)
+    grow(path)
     with pytest.raises(PolicyError, match=rf"{LIGHT_LEG}\.safetensors has 5368709120 bytes"):
         expert_actor(LIGHT_LEG)
 
