@@ -39,15 +39,16 @@ def new_target(target: Path, *, force: bool = False) -> Iterator[Path]:
             one step.
     """
     try:
-        if target.exists() and not force:
-            raise DatasetExistsError(f"{target} already exists; it was not changed (--force replaces it)")
-        if target.exists() and not _is_marked(target):
-            raise DatasetExistsError(
-                f"{target} was not replaced: it is not an export of imujoco, or it has other files too; "
-                "move it away, or choose another path"
-            )
         target.parent.mkdir(parents=True, exist_ok=True)
+        # First, because this removes what a killed export left, also beside a target that it completed.
         with transactions.scratch(target.parent, _PREFIX) as staging:
+            if target.exists() and not force:
+                raise DatasetExistsError(f"{target} already exists; it was not changed (--force replaces it)")
+            if target.exists() and not _is_marked(target):
+                raise DatasetExistsError(
+                    f"{target} was not replaced: it is not an export of imujoco, or it has other files too; "
+                    "move it away, or choose another path"
+                )
             yield staging / target.name
             _write_mark(staging / target.name)
             _move_into_place(staging / target.name, target)

@@ -236,6 +236,16 @@ def test_what_is_there_is_left_alone_unless_forced(data: Arrays, tmp_path: Path,
     assert list(tmp_path.iterdir()) == [target]
 
 
+def test_a_refusal_removes_what_a_killed_export_left(data: Arrays, tmp_path: Path) -> None:
+    target, left = tmp_path / "x", tmp_path / ".imujoco-export-dead"
+    export(data, "npz", target)
+    left.mkdir()
+    (left / "lock").touch()
+    with pytest.raises(DatasetExistsError, match="already exists"):
+        export(data, "npz", target)
+    assert list(tmp_path.iterdir()) == [target]
+
+
 def test_a_failure_leaves_what_was_there(data: Arrays, tmp_path: Path) -> None:
     target = tmp_path / "x"
     export(data, "npz", target)
