@@ -47,7 +47,9 @@ def train_variants(
     ] = False,
     scratch: Annotated[bool, option("--scratch", "Do not start from another agent.")] = False,
     max_steps: Annotated[int | None, option("--max-steps N", "Environment steps at most.", min=1)] = None,
-    target: Annotated[float | None, option("--target X", "Return to stop at.")] = None,
+    target: Annotated[
+        float | None, option("--target X", "Score to stop at: the mean of mean and lowest return.")
+    ] = None,
     settings: Annotated[
         list[str] | None,
         option("--set NAME=VALUE", "A hyperparameter, as in batch_size=256; may be repeated."),

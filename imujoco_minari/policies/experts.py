@@ -44,7 +44,7 @@ def expert_actor(variant: Variant, *, deterministic: bool = True) -> Actor:
         if universal is None:
             raise PolicyNotFoundError(
                 f"no expert policy exists for {variant}: train one with `imujoco train {variant}`, or give "
-                f"one with --policy FILE; `imujoco policies` lists the {len(expert_variants())} that exist"
+                "one with --policy FILE; `imujoco policies` lists those that exist"
             )
         told = replace(universal, deterministic=deterministic)
         return replace(told.fold(variant), record=expert_record(variant))
