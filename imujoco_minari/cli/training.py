@@ -20,7 +20,7 @@ from imujoco_minari.cli.printing import counted, out, print_json, print_table, s
 from imujoco_minari.cli.selection import Filters, VariantChoice
 from imujoco_minari.errors import CatalogueError
 from imujoco_minari.policies import expert_variants, policies_folder
-from imujoco_minari.policies.experts import readable_record
+from imujoco_minari.policies.experts import readable_record, start_of
 from imujoco_minari.policies.standing import COLUMNS, share_of_base, standings
 from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS, Variant, bases, catalogue
 
@@ -252,7 +252,7 @@ def _made(record: dict[str, Any]) -> str:
         return f"{told}, the {record['start']}"
     return (
         f"{told} over {evaluation['episodes']} episodes, after {record['steps']:,} steps from "
-        f"{record['start']}, {record['wall_seconds'] / 60:.1f} min"
+        f"{start_of(record)}, {record['wall_seconds'] / 60:.1f} min"
     )
 
 

@@ -103,6 +103,12 @@ def readable_record(variant: Variant, folder: Path | None = None) -> Mapping[str
         return {}
 
 
+def start_of(record: Mapping[str, Any]) -> str:
+    """Return what an expert of its own started from, with the variant it was told if that is another one."""
+    told = record.get("start_told") or record["variant"]
+    return str(record["start"]) + ("" if told == record["variant"] else f" told {told}")
+
+
 def is_folded(record: Mapping[str, Any]) -> bool:
     """Return whether a record is of a folded policy. The training of an own expert may start from one too."""
     return "universal_sha256" in record
