@@ -178,9 +178,12 @@ class Actor(Doors):
         Args:
             observations: of shape (b, n), with b at most ``LANES``.
             rngs: a source of samples for each observation; a deterministic actor does not use them.
+
+        Raises:
+            ArgumentError: when the observations have another length than the actor takes.
         """
         latent = np.zeros((LANES, self.observation_size), np.float32)
-        latent[: len(observations)] = observations
+        latent[: len(observations)] = self._fitting(observations)
         for layer in self._hidden:
             latent = self._activate(_affine_together(latent, layer))
         mean = _affine_together(latent, self._mean)
