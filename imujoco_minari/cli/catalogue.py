@@ -11,7 +11,7 @@ from imujoco_minari.cli.printing import out, print_json, print_table, say
 from imujoco_minari.cli.selection import Filters, counted_variants
 from imujoco_minari.errors import PolicyError, PolicyNotFoundError, VariantError
 from imujoco_minari.policies import expert_record, expert_variants, universal_policy
-from imujoco_minari.policies.experts import is_folded
+from imujoco_minari.policies.experts import is_folded, start_of
 from imujoco_minari.policies.standing import share_of_base
 from imujoco_minari.storage import minari_root
 from imujoco_minari.variants import EXPERT, NAMESPACE, Variant, parse_dataset_id
@@ -132,10 +132,10 @@ def _print_record(record: Mapping[str, Any]) -> None:
     if evaluation is None:
         out.print("return       not measured yet: `imujoco publish` and `imujoco_minari.evaluate` measure it")
         return
-    made = f"the policy of {record['start']} as it is"
-    if record.get("steps"):
-        made = f"{record['steps']:,} steps from {record['start']}, seed {record['seed']}"
     if not is_folded(record):
+        made = f"{start_of(record)}, not trained further"
+        if record["steps"]:
+            made = f"{record['steps']:,} steps from {start_of(record)}, seed {record['seed']}"
         out.print(f"expert       {record['algorithm']}, {made}")
     out.print(
         f"return       {evaluation['return_mean']:.1f} ± {evaluation['return_std']:.1f} "

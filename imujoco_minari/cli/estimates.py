@@ -56,17 +56,19 @@ class Planned:
 
 def plan(recipe: Recipe, *, force: bool = False) -> Planned:
     """Return what publishing a recipe would do, without doing it."""
+    from imujoco_minari.publishing.new_dataset import find_published
     from imujoco_minari.publishing.sizes import bytes_per_step, expected_bytes, steps_per_episode
 
     exists = minari_root.exists(recipe.dataset_id)
-    if exists and not force:
-        return Planned(recipe.dataset_id, "leave alone")
     action = "replace" if exists else "publish"
     if recipe.tier == MEDIUM_REPLAY:
+        if exists and not force:
+            return Planned(recipe.dataset_id, "leave alone")
         size = STEPS_TO_MEDIUM * bytes_per_step(recipe.nominal)
         return Planned(recipe.dataset_id, action, 0, size, STEPS_TO_MEDIUM * SECONDS_PER_TRAINING_STEP)
     try:
-        recipe.parts()
+        if find_published(recipe.dataset_id, recipe.stated(recipe.parts()), force=force):
+            return Planned(recipe.dataset_id, "leave alone")
     except ImujocoError as error:
         return Planned(recipe.dataset_id, error=str(error), missing=error.missing)
     steps = recipe.episodes * steps_per_episode(recipe)

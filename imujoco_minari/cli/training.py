@@ -20,7 +20,7 @@ from imujoco_minari.cli.printing import counted, out, print_json, print_table, s
 from imujoco_minari.cli.selection import Filters, VariantChoice
 from imujoco_minari.errors import CatalogueError
 from imujoco_minari.policies import expert_variants, policies_folder
-from imujoco_minari.policies.experts import readable_record
+from imujoco_minari.policies.experts import readable_record, start_of
 from imujoco_minari.policies.standing import COLUMNS, share_of_base, standings
 from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS, Variant, bases, catalogue
 
@@ -47,7 +47,9 @@ def train_variants(
     ] = False,
     scratch: Annotated[bool, option("--scratch", "Do not start from another agent.")] = False,
     max_steps: Annotated[int | None, option("--max-steps N", "Environment steps at most.", min=1)] = None,
-    target: Annotated[float | None, option("--target X", "Return to stop at.")] = None,
+    target: Annotated[
+        float | None, option("--target X", "Score to stop at: the mean of mean and lowest return.")
+    ] = None,
     settings: Annotated[
         list[str] | None,
         option("--set NAME=VALUE", "A hyperparameter, as in batch_size=256; may be repeated."),
@@ -206,7 +208,13 @@ def describe_trained(outcome: Trained, plan: Plan) -> tuple[str, ...]:
     if outcome.created:
         lines = ["trained", f"{variant}: {_made(outcome.record)}"]
     elif outcome.tried:
-        lines = ["kept", f"{variant}: {_made(outcome.record)}; not as good: {_made(outcome.tried)}"]
+        lines = ["kept", f"{variant}: {_made(outcome.record)}; not better: {_made(outcome.tried)}"]
+        if "score" in outcome.tried:
+            kept, reached = outcome.tried["kept_score"], outcome.tried["score"]
+            lines.append(
+                "  what counts is the mean of mean and lowest return, on the same episodes: "
+                f"{kept:.1f} and {reached:.1f}"
+            )
     else:
         lines = ["left alone", f"{variant}: it has an expert already"]
     evaluated = "evaluation" in outcome.record
@@ -244,7 +252,7 @@ def _made(record: dict[str, Any]) -> str:
         return f"{told}, the {record['start']}"
     return (
         f"{told} over {evaluation['episodes']} episodes, after {record['steps']:,} steps from "
-        f"{record['start']}, {record['wall_seconds'] / 60:.1f} min"
+        f"{start_of(record)}, {record['wall_seconds'] / 60:.1f} min"
     )
 
 

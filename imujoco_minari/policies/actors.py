@@ -140,9 +140,13 @@ class Actor(Doors):
             rng: source of the sample; a deterministic actor does not use it.
 
         Raises:
-            ArgumentError: when the actor samples and there is no ``rng``.
+            ArgumentError: when the observation has another length than the actor takes, or the actor samples
+                and there is no ``rng``.
         """
-        latent = self._latent(observation)
+        try:
+            latent = self._latent(observation)
+        except (ValueError, AttributeError):  # a check before each action would take 5 % of its time
+            latent = self._latent(self._fitting(observation))
         mean = _affine(latent, self._mean)
         if not self.deterministic:
             log_std = np.clip(_affine(latent, self._log_std), *_LOG_STD_RANGE)
@@ -174,9 +178,12 @@ class Actor(Doors):
         Args:
             observations: of shape (b, n), with b at most ``LANES``.
             rngs: a source of samples for each observation; a deterministic actor does not use them.
+
+        Raises:
+            ArgumentError: when the observations have another length than the actor takes.
         """
         latent = np.zeros((LANES, self.observation_size), np.float32)
-        latent[: len(observations)] = observations
+        latent[: len(observations)] = self._fitting(observations)
         for layer in self._hidden:
             latent = self._activate(_affine_together(latent, layer))
         mean = _affine_together(latent, self._mean)

@@ -44,7 +44,7 @@ def expert_actor(variant: Variant, *, deterministic: bool = True) -> Actor:
         if universal is None:
             raise PolicyNotFoundError(
                 f"no expert policy exists for {variant}: train one with `imujoco train {variant}`, or give "
-                f"one with --policy FILE; `imujoco policies` lists the {len(expert_variants())} that exist"
+                "one with --policy FILE; `imujoco policies` lists those that exist"
             )
         told = replace(universal, deterministic=deterministic)
         return replace(told.fold(variant), record=expert_record(variant))
@@ -101,6 +101,12 @@ def readable_record(variant: Variant, folder: Path | None = None) -> Mapping[str
     except (PolicyError, PolicyNotFoundError) as error:
         warnings.warn(f"left out: {error}", PolicyWarning, stacklevel=2)
         return {}
+
+
+def start_of(record: Mapping[str, Any]) -> str:
+    """Return what an expert of its own started from, with the variant it was told if that is another one."""
+    told = record.get("start_told") or record["variant"]
+    return str(record["start"]) + ("" if told == record["variant"] else f" told {told}")
 
 
 def is_folded(record: Mapping[str, Any]) -> bool:

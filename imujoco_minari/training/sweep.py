@@ -51,7 +51,7 @@ class Trained:
         variant: the variant, or the universal policy's name.
         record: record of the present policy.
         created: whether this call trained that policy.
-        tried: record of a run that gave no better policy.
+        tried: record of a run that gave no better policy, with its ``score`` and the ``kept_score``.
         error: why the training failed; empty on success.
         missing: whether it failed because something that was asked for does not exist.
     """
@@ -99,17 +99,18 @@ def train(variant: Variant, plan: Plan, on_interval: OnInterval = do_nothing) ->
         # The episodes of the records' evaluations select nothing, so those of the selection compare.
         episodes = record["selection"]["episodes"]
         rivals = (each(variant, plan.policies, episodes) for each in (own_score, folded_score))
-        better = reached > max(rivals)
+        kept_score = max(rivals)
+        better = reached > kept_score
         # A start that was told this variant and not trained further is the folded policy itself.
         if better and not (record["start_told"] == str(variant) and record["steps"] == 0):
             installed = install(variant, folder, record, run.progress.evaluations, plan.policies)
             outcome = Trained(variant, installed, created=True)
         else:
-            outcome = Trained(variant, present, tried=record)
+            outcome = Trained(variant, present, tried=record | {"score": reached, "kept_score": kept_score})
         # The replay buffer alone is tens of megabytes.
         shutil.rmtree(folder)
         if not outcome.created and not done:
-            write_json(beaten, record | {"not_better_than": present["weights_sha256"]})
+            write_json(beaten, outcome.tried | {"not_better_than": present["weights_sha256"]})
     return outcome
 
 

@@ -209,7 +209,8 @@ class _Page:
         name, is_valid = kind
         value = self._data.get(key, default)
         if not is_valid(value):
-            raise self._error(f"{key} must be {name}")
+            missing = "" if key in self._data else "; the page has no such key"
+            raise self._error(f"{key} must be {name}{missing}")
         return value
 
     def numbers(self, key: str) -> Mapping[str, float]:

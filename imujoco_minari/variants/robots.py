@@ -103,7 +103,8 @@ def adopt_page(robot: str, page: Mapping[str, str], name: str = "") -> None:
     parsed = _parse(robot, page, name)
     if robot in _PAGES:
         raise CatalogueError(
-            f"{name}: another page of the robot {robot} is loaded; give the robot another name"
+            f"{name}: another page of the robot {robot} is loaded; give the robot another name, or load the "
+            "changed page in a new process"
         )
     _PAGES[robot] = parsed
     _FAULTS.pop(robot, None)

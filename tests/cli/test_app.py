@@ -43,6 +43,23 @@ def test_show_tells_the_change_in_numbers(capsys: pytest.CaptureFixture[str]) ->
     assert "friction of ffoot on floor   0.4      0.2" in out
 
 
+@pytest.mark.parametrize(
+    ("variant", "made"),
+    [
+        (
+            "hopper-massdec_25_thighgeom",
+            "universal policy told hopper-massinc_50_footgeom, not trained further",
+        ),
+        ("hopper-massdec_25_leggeom", "hopper-base, not trained further"),
+        ("hopper-massdec_25_torsogeom", "60,000 steps from hopper-base, seed 0"),
+        ("hopper-massinc_50_torsogeom", "the universal policy, told this variant; no own training"),
+    ],
+)
+def test_show_says_what_made_an_expert(variant: str, made: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["show", variant]) == 0
+    assert f"expert       CrossQ, {made}\n" in capsys.readouterr().out
+
+
 def test_publish_verify_combine(capsys: pytest.CaptureFixture[str], root: Path) -> None:
     assert (
         run(["publish", "--robot", "hopper", "--category", "friction", "--tier", "random", "--episodes", "2"])

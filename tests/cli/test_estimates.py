@@ -56,10 +56,11 @@ def test_a_dry_run_prints_the_plan_and_does_nothing(
 ) -> None:
     before = sorted(root.rglob("*"))
     arguments = ["publish", "--robot", "hopper", "--category", "friction", "--with-base", "--dry-run"]
-    assert run([*arguments, "--tier", "random", "--jobs", "2"]) == 0
+    assert run([*arguments, "--tier", "random", "--jobs", "2", "--episodes", "4"]) == 1
     output = capsys.readouterr()
     assert output.out.count("would publish imujoco/hopper-friction") == 2
-    assert output.out.count("would leave alone imujoco/hopper-") == 2
+    assert output.out.count("would leave alone imujoco/hopper-") == 1
+    assert "hopper-base-random-v0 is already published, but differs: it has 8 episodes" in output.err
     assert output.err.startswith("4 datasets, 2 of them to publish: about ")
     assert "with 2 processes" in output.err
     assert run([*arguments, "--tier", "no-such-tier", "--json"]) == 2

@@ -55,7 +55,7 @@ def test_a_policy_is_still_evaluated_as_itself() -> None:
 @pytest.mark.parametrize("observation", [np.zeros(12), np.zeros((2, 3)), 1.0])
 def test_an_observation_of_another_length_is_named(observation: np.ndarray) -> None:
     policy = load_policy("hopper-base")
-    for door in (policy, policy.predict):  # type: ignore[attr-defined]
+    for door in (policy, policy.act, policy.predict):  # type: ignore[attr-defined]
         with pytest.raises(ArgumentError, match=r"valid: \(11,\), or \(batch, 11\)"):
             door(observation)  # type: ignore[operator]
     assert policy([0.0] * 11).shape == (3,)  # type: ignore[operator]

@@ -80,7 +80,7 @@ def test_the_better_of_own_and_folded_is_the_expert(
     (again,) = train_all([unlisted], plan)
     assert not again.created
     assert again.record["weights_sha256"] == outcome.record["weights_sha256"]
-    assert bool(again.tried) == bool(outcome.tried)
+    assert again.tried.get("kept_score") == outcome.tried.get("kept_score") == (None if better else 1e9)
 
 
 @pytest.mark.parametrize("other", [False, True])
@@ -366,10 +366,12 @@ def test_a_broken_record_is_named(home: Path) -> None:
 def test_a_run_that_does_not_beat_a_folded_policy_without_evaluation_is_described(tmp_path: Path) -> None:
     """Only the listed variants have an evaluation of the folded policy."""
     variant = Variant.parse("hopper-massinc_37_torsogeom")
-    outcome = Trained(variant, dict(expert_record(variant)), tried=dict(expert_record(variant.base)))
+    tried = dict(expert_record(variant.base)) | {"score": 3210.06, "kept_score": 3399.2}
+    outcome = Trained(variant, dict(expert_record(variant)), tried=tried)
     assert "evaluation" not in outcome.record
     printed = " ".join(describe_trained(outcome, Plan(tmp_path)))
     assert (
-        "kept hopper-massinc_37_torsogeom: the policy folded from the universal policy; not as good"
+        "kept hopper-massinc_37_torsogeom: the policy folded from the universal policy; not better: return"
         in printed
     )
+    assert "mean of mean and lowest return, on the same episodes: 3399.2 and 3210.1" in printed

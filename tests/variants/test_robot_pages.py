@@ -57,7 +57,7 @@ def test_a_specification_reads_back_what_it_says() -> None:
         ("[0.7, inf]", "[0.7]", ["healthy_z_range"]),
         ("action_size = 3", "action_size = 3.0", ["action_size must be a whole number above 0"]),
         ("steps_per_second = 125", "steps_per_second = 0", ["steps_per_second must be a number above 0"]),
-        ("observation_size = 11\n", "", ["observation_size must be a whole number"]),
+        ("observation_size = 11\n", "", ["observation_size must be a whole number", "no such key"]),
         ("root_joints =", "listed = 1\nroot_joints =", ["listed must be true or false"]),
         ("observed_positions = 5", "observed_positions = 11", ["observed_positions must be less than"]),
         ('"Hopper-v5"', '"evil:Hopper-v5"', ["'evil:Hopper-v5' is not the id of a MuJoCo environment"]),
