@@ -50,9 +50,9 @@ def test_show_tells_the_change_in_numbers(capsys: pytest.CaptureFixture[str]) ->
             "hopper-massdec_25_thighgeom",
             "universal policy told hopper-massinc_50_footgeom, not trained further",
         ),
-        ("hopper-massdec_25_leggeom", "hopper-base, not trained further"),
-        ("hopper-massdec_25_torsogeom", "60,000 steps from hopper-base, seed 0"),
-        ("hopper-massinc_50_torsogeom", "the universal policy, told this variant; no own training"),
+        ("walker2d-jointdec_50_thighjoint", "walker2d-jointdec_50_thighjoints, not trained further"),
+        ("halfcheetah-lengthdec_25_bthigh", "55,000 steps from halfcheetah-base, seed 0"),
+        ("hopper-massinc_100_thighgeom", "the universal policy, told this variant; no own training"),
     ],
 )
 def test_show_says_what_made_an_expert(variant: str, made: str, capsys: pytest.CaptureFixture[str]) -> None:
