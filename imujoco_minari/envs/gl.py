@@ -10,6 +10,7 @@ import ctypes
 import os
 import subprocess
 import sys
+from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from typing import Any
@@ -41,6 +42,9 @@ def backend() -> str:
     Raises:
         RenderingError: if none works. The message names the system packages to install.
     """
+    # Mesa loads LLVM. PyTorch's default build has Triton, which crashes the process if it is loaded after that.
+    with suppress(ImportError):
+        import_module("triton")
     asked = os.environ.get("MUJOCO_GL", "").lower()
     if sys.platform != "linux" or (asked and asked not in LIBRARIES):
         return "native"

@@ -17,6 +17,9 @@ env.reset(seed=0)
 picture = env.render()
 assert picture.shape == (48, 64, 3), picture.shape
 assert picture.std() > 1
+# PyTorch's default build loads Triton here.
+import torch
+torch.optim.Adam([torch.nn.Parameter(torch.zeros(1))])
 """
 
 
