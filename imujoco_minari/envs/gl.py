@@ -42,7 +42,7 @@ def backend() -> str:
     Raises:
         RenderingError: if none works. The message names the system packages to install.
     """
-    # Mesa loads LLVM. PyTorch's default build has Triton, which crashes the process if it is loaded after that.
+    # Mesa loads LLVM. Triton, in PyTorch's default build, crashes the process if it is loaded after that.
     with suppress(ImportError):
         import_module("triton")
     asked = os.environ.get("MUJOCO_GL", "").lower()
