@@ -69,7 +69,7 @@ def publish_episodes(
 
     def write(data: Path) -> None:
         env = gym.make(spec)
-        storage = new_storage(data, env, dataset.attributes)
+        storage = new_storage(data, env, lambda seed: dataset.attributes)
         env.close()
         try:
             storage.update_episodes(episodes)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,14 +16,12 @@ from imujoco_minari.envs.registration import environment_spec, randomised_spec
 from imujoco_minari.errors import JobError
 from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies.tiers import TierPart
-from imujoco_minari.publishing.collector import collect
+from imujoco_minari.publishing.collector import OnEpisode, collect
 from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.storage import copying, file_format
 from imujoco_minari.storage.containment import LinkedFiles
 from imujoco_minari.storage.quiet_file import writing
 from imujoco_minari.variants import Ranges
-
-OnEpisode = Callable[[], None]
 
 
 @dataclass(frozen=True)

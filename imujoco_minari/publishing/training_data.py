@@ -20,11 +20,10 @@ from imujoco_minari.errors import PolicyNotFoundError, TrainingError
 from imujoco_minari.policies.references import measured_record, reference_scores
 from imujoco_minari.policies.rungs import MEDIUM_SHARE
 from imujoco_minari.policies.tiers import MEDIUM_REPLAY, REPLAY
-from imujoco_minari.publishing.collector import StorageCollector
+from imujoco_minari.publishing.collector import OnEpisode, StorageCollector
 from imujoco_minari.publishing.new_dataset import NewDataset, find_published, publish_episodes
 from imujoco_minari.publishing.outcome import Published
 from imujoco_minari.publishing.recipes import Recipe
-from imujoco_minari.publishing.shares import OnEpisode
 from imujoco_minari.storage import file_format
 from imujoco_minari.storage.metadata import provenance
 from imujoco_minari.storage.writer import EpisodeStorage, new_storage
@@ -32,35 +31,6 @@ from imujoco_minari.training.agents import ALGORITHM
 from imujoco_minari.training.hyperparameters import SCRATCH, hyperparameters
 from imujoco_minari.training.run import OnInterval, Progress, Run, do_nothing
 from imujoco_minari.training.task import Task
-
-
-class WholeEpisodeCollector(StorageCollector):
-    """A collector that discards unfinished episodes. Each interval of a training run cuts its last episode.
-
-    A cut episode ends neither by termination nor by the time limit, so its replay would not end either.
-
-    Args:
-        env: the environment to step.
-        storage: the storage of the episodes.
-        on_episode: called after each whole episode.
-    """
-
-    def __init__(self, env: gym.Env[Any, Any], storage: EpisodeStorage, on_episode: OnEpisode) -> None:
-        super().__init__(env, storage)
-        self._on_episode = on_episode
-
-    def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
-        """Discard the unfinished episode and begin a new one."""
-        self.forget()
-        return super().reset(**kwargs)
-
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step the environment and record the transition."""
-        transition = super().step(action)
-        _, _, terminated, truncated, _ = transition
-        if terminated or truncated:
-            self._on_episode()
-        return transition
 
 
 def record_medium_replay(
@@ -139,8 +109,8 @@ def record_training(
     storages: list[EpisodeStorage] = []
 
     def record(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-        storages.append(new_storage(folder / "recorded", env, {}))
-        return WholeEpisodeCollector(env, storages[0], on_episode)
+        storages.append(new_storage(folder / "recorded", env))
+        return StorageCollector(env, storages[0], on_episode)
 
     run = Run(task, folder, record, device)
     try:

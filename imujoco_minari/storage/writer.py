@@ -94,11 +94,13 @@ class EpisodeStorage(HDF5Storage):  # type: ignore[misc]
             )
 
 
-def new_storage(folder: Path, env: gym.Env[Any, Any], attributes: Mapping[str, Any]) -> EpisodeStorage:
-    """Make an empty storage in a new folder for the episodes of an environment, all with these attributes."""
+def new_storage(
+    folder: Path, env: gym.Env[Any, Any], attributes: Callable[[Any], Mapping[str, Any]] = lambda seed: {}
+) -> EpisodeStorage:
+    """Make an empty storage in a new folder for the episodes of an environment."""
     stock = MinariStorage.new(folder, env.observation_space, env.action_space, env.spec)
     storage = EpisodeStorage(folder, stock.observation_space, stock.action_space)
-    storage.attributes = lambda seed: attributes
+    storage.attributes = attributes
     return storage
 
 

@@ -72,7 +72,7 @@ def short(robot, steps=40):
 
 def collector_in(folder, env):
     """Return a collector whose storage is the new folder."""
-    return StorageCollector(env, new_storage(folder, env, {}))
+    return StorageCollector(env, new_storage(folder, env))
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
@@ -97,20 +97,17 @@ def test_records_what_the_stock_collector_records(robot, tmp_path, stock_warning
     }
 
 
-def test_an_interrupted_episode_and_options_are_stored_as_the_stock_collector_does(tmp_path, stock_warnings):
+def test_options_are_stored_as_the_stock_collector_does_and_no_unfinished_episode(tmp_path, stock_warnings):
     def record(collector):
         actions = np.random.default_rng(0)
-        collector.reset(seed=3, options={"a": {"b": 1}, "c": 2.5})
-        for _ in range(5):
-            collector.step(actions.uniform(-1, 1, 6).astype(np.float32))
-        collector.reset(seed=2**63 + 1)
-        # Two steps beyond the time limit belong to an episode of their own, without a seed.
-        for _ in range(42):
+        collector.reset(seed=2**63 + 1, options={"a": {"b": 1}, "c": 2.5})
+        for _ in range(40):
             collector.step(actions.uniform(-1, 1, 6).astype(np.float32))
 
     ours = collector_in(tmp_path / "ours", short("halfcheetah"))
+    ours.reset(seed=3)
+    ours.step(np.zeros(6, np.float32))
     record(ours)
-    ours._flush_to_storage()
     ours._storage.flush()
     stock = minari.DataCollector(short("halfcheetah"))
     record(stock)
@@ -124,18 +121,17 @@ def test_warns_of_what_lies_outside_its_space_as_the_stock_collector_does(tmp_pa
         for scale in (0.5, 2.0, 0.5, -3.0):
             collector.step(np.full(6, scale, np.float32))
 
-    def messages(collector, finish):
+    def messages(collector):
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             record(collector)
-            finish()
         return [str(warning.message) for warning in caught if "space" in str(warning.message)]
 
-    ours = collector_in(tmp_path / "ours", short("halfcheetah"))
-    stock = minari.DataCollector(short("halfcheetah"))
-    expected = messages(stock, stock._flush_to_storage)
+    ours = collector_in(tmp_path / "ours", short("halfcheetah", steps=4))
+    stock = minari.DataCollector(short("halfcheetah", steps=4))
+    expected = messages(stock)
     assert len(expected) == 2
-    assert messages(ours, ours._flush_to_storage) == expected
+    assert messages(ours) == expected
     ours.close()
     stock.close()
 
