@@ -24,9 +24,9 @@ from imujoco_minari.remotes.stores import (
     remote_errors,
 )
 from imujoco_minari.short_repr import short_repr
-from imujoco_minari.storage import minari_root, transactions
+from imujoco_minari.storage import minari_root
 from imujoco_minari.storage.file_format import file_sha256
-from imujoco_minari.storage.metadata import read_metadata, sources
+from imujoco_minari.storage.metadata import local_collections, read_metadata, sources
 from imujoco_minari.storage.missing import not_in_root
 from imujoco_minari.verification import verify
 
@@ -115,13 +115,8 @@ def plan_push(dataset_ids: Sequence[str]) -> Iterator[Pushed]:
 
 def collections_of(dataset_ids: Sequence[str]) -> list[str]:
     """Return the ids of the collections in the Minari root that combine no other datasets than these."""
-    root = minari_root.datasets_root()
-    found = []
-    for file in sorted(root.glob(f"**/{METADATA_PATH}")):
-        combined = sources(read_metadata(file.parent))
-        if combined and transactions.STAGING not in file.parts and set(combined) <= set(dataset_ids):
-            found.append(file.parents[1].relative_to(root).as_posix())
-    return found
+    given = set(dataset_ids)
+    return [name for name, metadata in local_collections() if set(sources(metadata)) <= given]
 
 
 def _push_each(

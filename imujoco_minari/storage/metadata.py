@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import os
 import platform
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from imujoco_minari.errors import CatalogueError
-from imujoco_minari.storage import file_format
+from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.variants import adopt_page
 
 METADATA_FILE = "metadata.json"
@@ -70,6 +70,16 @@ def texts(metadata: Mapping[str, Any], key: str) -> list[str]:
 def sources(metadata: Mapping[str, Any]) -> list[str]:
     """Return the ids of the datasets that a collection combines; empty for other datasets."""
     return texts(metadata, "combined_datasets")
+
+
+def local_collections() -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield the id and the metadata of each collection in the Minari root."""
+    root = minari_root.datasets_root()
+    # The folder of staged datasets begins with a dot.
+    for data in sorted(root.glob("[!.]*/**/data")):
+        metadata = read_metadata(data)
+        if sources(metadata):
+            yield data.parent.relative_to(root).as_posix(), metadata
 
 
 def requirements(versions: Mapping[str, str]) -> list[str]:
