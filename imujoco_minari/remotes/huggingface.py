@@ -37,10 +37,11 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
         repository, name = self._decompose_path(path)
         return self._read_revision(repository, name, None)
 
-    def registered(self, namespace: str, dataset_id: str) -> bool:
+    def registered(self, dataset_id: str) -> bool:
         """Return whether the repository's namespace metadata names the dataset."""
-        data = self.read(namespace_file(namespace))
-        return data is not None and dataset_id in registered_ids(data, namespace_file(namespace))
+        name = namespace_file(self._decompose_path(dataset_id)[0])
+        data = self.read(name)
+        return data is not None and dataset_id in registered_ids(data, name)
 
     def holds(self, dataset_id: str) -> bool:
         """Return whether the Hub's digests of a dataset's files equal those of the local files."""
@@ -50,12 +51,11 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
         entries = {entry.path: entry for entry in stated}
         return all(path in entries and _is_equal(file, entries[path]) for path, file in files.items())
 
-    def upload_dataset(self, dataset_id: str, card: str | None = None) -> None:
+    def upload_dataset(self, dataset_id: str, card: str) -> None:
         """Upload a dataset's files and card and register its id, in one commit."""
         repository, folder = self._decompose_path(dataset_id)
         files: dict[str, Any] = {f"{folder}/{name}": dataset_folder(dataset_id) / name for name in FILES}
-        if card is not None:
-            files[f"{folder}/{CARD}"] = card.encode()
+        files[f"{folder}/{CARD}"] = card.encode()
         self._api.create_repo(self._repo_id(repository), repo_type="dataset", exist_ok=True)
         for attempt in range(_ATTEMPTS):
             head = self._api.repo_info(self._repo_id(repository), repo_type="dataset").sha
@@ -114,10 +114,7 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
         self._api.create_commit(
             repo_id=self._repo_id(repository),
             repo_type="dataset",
-            operations=[
-                CommitOperationAdd(name, content if isinstance(content, bytes) else str(content))
-                for name, content in files.items()
-            ],
+            operations=[CommitOperationAdd(name, content) for name, content in files.items()],
             commit_message=message,
             parent_commit=parent,
         )

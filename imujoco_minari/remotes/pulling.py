@@ -15,8 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError
-from imujoco_minari.remotes.connecting import connect
-from imujoco_minari.remotes.stores import Store, metadata, remote_errors
+from imujoco_minari.remotes.stores import Store, connect, metadata, remote_errors
 from imujoco_minari.short_repr import short_repr
 from imujoco_minari.storage import copying, file_format, minari_root, transactions
 from imujoco_minari.storage.metadata import processor, read_metadata, sources

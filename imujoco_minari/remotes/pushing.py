@@ -12,14 +12,13 @@ from pathlib import Path
 
 from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError, RemoteError
 from imujoco_minari.remotes.card import dataset_card, namespace_card
-from imujoco_minari.remotes.connecting import connect
 from imujoco_minari.remotes.stores import (
     FILES,
     METADATA_PATH,
     Store,
+    connect,
     metadata,
     namespace_file,
-    namespaces,
     parse_object,
     remote_errors,
 )
@@ -190,7 +189,7 @@ def _push_one(dataset_id: str, store: Store, remote: str, replaceable: AbstractS
                 f"{remote} has another {dataset_id}, made with {made} with content {content}; "
                 f"it was not replaced (`imujoco push {dataset_id} --force` replaces it)"
             )
-        for namespace in namespaces(dataset_id):
+        for namespace in minari_root.namespaces(dataset_id):
             if store.read(namespace_file(namespace)) is None:
                 store.upload_namespace(namespace)
         store.upload_dataset(dataset_id, dataset_card(folder / "data", remote))
@@ -214,7 +213,7 @@ def _update_cards(store: Store, remote: str, dataset_ids: Sequence[str]) -> None
     """Update the cards of the outermost namespaces, if the remote shows cards."""
     if not store.shows_cards:
         return
-    for namespace in dict.fromkeys(namespaces(dataset_id)[0] for dataset_id in dataset_ids):
+    for namespace in dict.fromkeys(dataset_id.partition("/")[0] for dataset_id in dataset_ids):
         with remote_errors(remote):
             listed = sorted(store.list_datasets(prefix=f"{namespace}/"))
             files = {name: store.read(f"{name}/{METADATA_PATH}") for name in listed}

@@ -62,6 +62,12 @@ def dataset_folder(dataset_id: str) -> Path:
     return datasets_root() / dataset_id
 
 
+def namespaces(dataset_id: str) -> list[str]:
+    """Return the namespaces that contain a dataset, the outermost first."""
+    parts = dataset_id.split("/")
+    return ["/".join(parts[:depth]) for depth in range(1, len(parts))]
+
+
 def _with_namespace(name: object) -> str:
     """Return the dataset id that was probably meant, if this is the id of a variant."""
     try:

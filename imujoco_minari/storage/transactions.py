@@ -29,6 +29,7 @@ from imujoco_minari.storage.minari_root import (
     dataset_folder,
     datasets_root,
     exists,
+    namespaces,
     storage_errors,
 )
 
@@ -173,7 +174,7 @@ def commit(staged: Path, dataset_id: str, *, replace: bool = False) -> Path:
     with storage_errors(target):
         check_place(target)
         sync_tree(staged)
-        make_namespace(dataset_id.rpartition("/")[0])
+        _make_namespaces(dataset_id)
         try:
             rename_new(staged, target)
         except FileExistsError:
@@ -204,15 +205,13 @@ def remove(dataset_id: str) -> None:
         sync_folder(folder.parent)
 
 
-def make_namespace(namespace: str) -> None:
-    """Make a Minari namespace and its parents. Existing namespaces are not changed.
+def _make_namespaces(dataset_id: str) -> None:
+    """Make the Minari namespaces of a dataset. Existing namespaces are not changed.
 
     Minari's own ``create_namespace`` writes the file in place, so another process may read half of it.
     """
-    root = datasets_root()
-    parts = namespace.split("/")
-    for depth in range(1, len(parts) + 1):
-        folder = root.joinpath(*parts[:depth])
+    for namespace in namespaces(dataset_id):
+        folder = datasets_root() / namespace
         folder.mkdir(parents=True, exist_ok=True)
         if (folder / NAMESPACE_FILE).exists():
             continue
