@@ -6,11 +6,12 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
 from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError, RemoteError
+from imujoco_minari.publishing.outcome import DatasetOutcome
 from imujoco_minari.remotes.card import dataset_card, namespace_card
 from imujoco_minari.remotes.stores import (
     FILES,
@@ -22,7 +23,6 @@ from imujoco_minari.remotes.stores import (
     parse_object,
     remote_errors,
 )
-from imujoco_minari.short_repr import short_repr
 from imujoco_minari.storage import minari_root
 from imujoco_minari.storage.file_format import file_sha256
 from imujoco_minari.storage.metadata import local_collections, read_metadata, sources
@@ -30,31 +30,23 @@ from imujoco_minari.storage.missing import not_in_root
 from imujoco_minari.verification import verify
 
 
-@dataclass(frozen=True)
-class Pushed:
+@dataclass(frozen=True, repr=False)
+class Pushed(DatasetOutcome):
     """The outcome of pushing one dataset.
 
     Attributes:
-        dataset_id: the dataset's id.
         remote: address of the remote.
         uploaded: whether this call uploaded it; False if the remote had the same dataset already.
         bytes: size of its files, in bytes.
         content_sha256: digest of its arrays; empty for a linked collection, which has no arrays.
         seconds: wall time.
-        error: why the push failed; empty on success.
-        missing: whether it failed because something that was asked for does not exist.
     """
 
-    dataset_id: str
-    remote: str
+    remote: str = ""
     uploaded: bool = False
     bytes: int = 0
     content_sha256: str = field(default="", repr=False)
     seconds: float = 0.0
-    error: str = ""
-    missing: bool = False
-
-    __repr__ = short_repr
 
 
 def push(dataset_id: str, remote: str, *, token: str | None = None, force: bool = False) -> list[Pushed]:
@@ -108,7 +100,9 @@ def push_all(
 
 def plan_push(dataset_ids: Sequence[str]) -> Iterator[Pushed]:
     """Yield what :func:`push_all` would upload to an empty remote, with the sizes. No remote is asked."""
-    for outcome, _ in _each_part(dataset_ids, "", lambda part: Pushed(part, "", bytes=_size(part))):
+    for outcome, _ in _each_part(
+        dataset_ids, "", lambda part: Pushed(part, minari_root.dataset_folder(part), bytes=_size(part))
+    ):
         yield outcome
 
 
@@ -146,7 +140,7 @@ def _each_part(
                     done.add(part)
                     yield outcome, None
         except ImujocoError as error:
-            yield Pushed(dataset_id, remote, error=str(error), missing=error.missing), error
+            yield Pushed.failed(dataset_id, error, remote=remote), error
 
 
 def _size(dataset_id: str) -> int:
@@ -177,16 +171,16 @@ def _push_one(dataset_id: str, store: Store, remote: str, replaceable: AbstractS
         raise DatasetError(f"{dataset_id}: not pushed, because its check found: {findings[0]}")
     folder = minari_root.dataset_folder(dataset_id)
     ours = read_metadata(folder / "data")
-    size = _size(dataset_id)
-    digest = str(ours.get("content_sha256", ""))
+    content = str(ours.get("content_sha256", ""))
+    pushed = Pushed(dataset_id, folder, remote=remote, bytes=_size(dataset_id), content_sha256=content)
     with remote_errors(remote):
         theirs = metadata(store, dataset_id)
         if theirs == ours and store.holds(dataset_id):
-            return Pushed(dataset_id, remote, False, size, digest, time.monotonic() - start)
+            return replace(pushed, seconds=time.monotonic() - start)
         if theirs is not None and theirs != ours and dataset_id not in replaceable:
-            made, content = theirs.get("code_permalink", "unknown"), str(theirs.get("content_sha256"))[:12]
+            made, other = theirs.get("code_permalink", "unknown"), str(theirs.get("content_sha256"))[:12]
             raise DatasetExistsError(
-                f"{remote} has another {dataset_id}, made with {made} with content {content}; "
+                f"{remote} has another {dataset_id}, made with {made} with content {other}; "
                 f"it was not replaced (`imujoco push {dataset_id} --force` replaces it)"
             )
         for namespace in minari_root.namespaces(dataset_id):
@@ -194,7 +188,7 @@ def _push_one(dataset_id: str, store: Store, remote: str, replaceable: AbstractS
                 store.upload_namespace(namespace)
         store.upload_dataset(dataset_id, dataset_card(folder / "data", remote))
         _check_upload(store, dataset_id, folder, remote)
-    return Pushed(dataset_id, remote, True, size, digest, time.monotonic() - start)
+    return replace(pushed, uploaded=True, seconds=time.monotonic() - start)
 
 
 def _check_upload(store: Store, dataset_id: str, folder: Path, remote: str) -> None:
