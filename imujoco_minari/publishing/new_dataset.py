@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -68,9 +69,8 @@ def publish_episodes(
         return found
 
     def write(data: Path) -> None:
-        env = gym.make(spec)
-        storage = new_storage(data, env, lambda seed: dataset.attributes)
-        env.close()
+        with closing(gym.make(spec)) as env:
+            storage = new_storage(data, env, lambda seed: dataset.attributes)
         try:
             storage.update_episodes(episodes)
         finally:
@@ -79,7 +79,7 @@ def publish_episodes(
     return publish_written(dataset, write, force=force)
 
 
-def publish_written(dataset: NewDataset, write: Callable[[Path], None], *, force: bool) -> Published:
+def publish_written(dataset: NewDataset, write: Callable[[Path], object], *, force: bool) -> Published:
     """Publish a dataset as :func:`publish_episodes` does.
 
     A function writes the episodes, as a Minari storage, into the new folder that it is given.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.metadata import version
 from typing import Any
 
@@ -23,9 +23,9 @@ STEP_SECONDS, START_SECONDS = 0.02, 1.0
 
 def replay(
     file: h5py.File,
-    episodes: range,
+    episodes: Sequence[int],
     models: Mapping[str, str],
-    on_episode: Callable[[], None] | None,
+    on_episode: Callable[[], None],
 ) -> Iterator[Finding]:
     """Replay episodes from their seeds and actions and compare, bit for bit.
 
@@ -45,8 +45,7 @@ def replay(
                 if variant not in environments:
                     environments[variant] = make(variant_of(attributes), models.get(variant))
                 yield from _replay_episode(file[name], name, environments[variant])
-            if on_episode is not None:
-                on_episode()
+            on_episode()
     finally:
         for env in environments.values():
             env.close()
