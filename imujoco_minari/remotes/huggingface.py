@@ -32,10 +32,15 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
 
     shows_cards = True
 
-    def read(self, path: str) -> bytes | None:
-        """Return a file's content at the head of its repository, or None if it does not exist."""
+    def read(self, path: str, revision: str | None = None) -> bytes | None:
+        """Return a file's content, at the head of its repository by default; None if it does not exist."""
         repository, name = self._decompose_path(path)
-        return self._read_revision(repository, name, None)
+        # A temporary folder, because stock Minari's cache may differ from the remote.
+        with tempfile.TemporaryDirectory() as folder:
+            try:
+                return self._download_file(repository, name, revision, Path(folder)).read_bytes()
+            except (RemoteEntryNotFoundError, RepositoryNotFoundError):
+                return None
 
     def registered(self, dataset_id: str) -> bool:
         """Return whether the repository's namespace metadata names the dataset."""
@@ -84,15 +89,6 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
             except RemoteEntryNotFoundError:
                 raise RemoteError(f"hf://{self.name}: {dataset_id} has no {name}") from None
 
-    def _read_revision(self, repository: str, name: str, revision: str | None) -> bytes | None:
-        # A temporary folder, because stock Minari's cache may differ from the remote.
-        with tempfile.TemporaryDirectory() as folder:
-            try:
-                file = self._download_file(repository, name, revision, Path(folder))
-            except (RemoteEntryNotFoundError, RepositoryNotFoundError):
-                return None
-            return file.read_bytes()
-
     def _download_file(self, repository: str, name: str, revision: str | None, folder: Path) -> Path:
         file = self._api.hf_hub_download(
             repo_id=self._repo_id(repository),
@@ -104,8 +100,8 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
         return Path(file)
 
     def _registry_including(self, repository: str, dataset_id: str, head: str) -> bytes:
-        data = self._read_revision(repository, NAMESPACE_FILE, head)
         name = namespace_file(repository)
+        data = self.read(name, head)
         registry, known = ({}, []) if data is None else (parse_object(data, name), registered_ids(data, name))
         registry["datasets"] = sorted({*known, dataset_id})
         return json.dumps(registry).encode()

@@ -36,7 +36,7 @@ def check_part(data: Path, metadata: Mapping[str, Any], number: int = 0, count: 
     try:
         _check(part, data, metadata, number, count)
     except bounded_read.UnreadableError as error:
-        part.findings.append(error.finding)
+        part.findings.append(Finding(*error.args))
         part.readable = False
     except Exception as error:  # h5py raises any kind of error on a damaged file
         part.findings.append(unreadable(data, error))
