@@ -70,9 +70,9 @@ class View:
 
 @dataclass(frozen=True)
 class EpisodeReference:
-    """One stored episode: the view that has it, its number in the file, and its origin."""
+    """One stored episode: the file that has it, its number in the file, and its origin."""
 
-    view: View
+    file: EpisodeFile
     number: int
     origin: Origin
 
@@ -141,7 +141,7 @@ def episodes(view: View, file: EpisodeFile) -> list[EpisodeReference]:
                 f"{view.dataset_id}: episode {number} has attributes that are not text, or a percent "
                 "that is not a number"
             ) from None
-        found.append(EpisodeReference(view, number, known[key]))
+        found.append(EpisodeReference(file, number, known[key]))
     return found
 
 
