@@ -15,12 +15,7 @@ _SHOWN = 4
 
 
 def check_current(dataset_id: str, sources: Sequence[Source], *, link: bool) -> None:
-    """Check that a dataset is the collection that combining these sources would make.
-
-    Args:
-        dataset_id: id of a dataset in the Minari root.
-        sources: the sources, in order.
-        link: whether the collection would link to their episodes.
+    """Check that a dataset of the root is the collection that combining (or linking) these sources gives.
 
     Raises:
         DatasetExistsError: if it is another dataset, or the sources have changed since it was combined.

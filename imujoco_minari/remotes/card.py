@@ -76,13 +76,7 @@ def dataset_card(data: Path, remote: str) -> str:
 
 
 def namespace_card(namespace: str, remote: str, datasets: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return the card of a namespace such as ``imujoco``, with a table of its datasets.
-
-    Args:
-        namespace: name of the namespace.
-        remote: address of the remote.
-        datasets: maps the id of each dataset that the remote lists to its metadata.
-    """
+    """Return the card of a namespace such as ``imujoco``, with a table of its datasets: id -> metadata."""
     steps, rows = 0, []
     for dataset_id, metadata in sorted(datasets.items()):
         stated = metadata.get("total_steps")

@@ -71,13 +71,7 @@ def pull(dataset_id: str, remote: str, *, token: str | None = None, force: bool 
 def pull_all(
     dataset_ids: Sequence[str], remote: str, *, token: str | None = None, force: bool = False
 ) -> Iterator[Pulled]:
-    """Download many datasets and yield each outcome when it is ready, failures included.
-
-    Args:
-        dataset_ids: the datasets.
-        remote: as of :func:`pull`.
-        token: as of :func:`pull`.
-        force: replace the datasets of the root that have these ids.
+    """Download many datasets as :func:`pull` does. Yield each outcome when it is ready, failures included.
 
     Raises:
         RemoteError: if the address is malformed or the token is unreadable.

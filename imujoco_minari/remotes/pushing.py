@@ -83,13 +83,7 @@ def push(dataset_id: str, remote: str, *, token: str | None = None, force: bool 
 def push_all(
     dataset_ids: Sequence[str], remote: str, *, token: str | None = None, force: bool = False
 ) -> Iterator[Pushed]:
-    """Upload many datasets with their sources and yield each outcome when it is ready, failures included.
-
-    Args:
-        dataset_ids: the datasets.
-        remote: as of :func:`push`.
-        token: as of :func:`push`.
-        force: replace different datasets that have these ids on the remote.
+    """Upload many datasets as :func:`push` does. Yield each outcome when it is ready, failures included.
 
     Raises:
         RemoteError: if the address is malformed, or the token is missing or unreadable.

@@ -29,12 +29,9 @@ AUTHOR = "imujoco_minari"
 
 
 def read_metadata(data: Path) -> dict[str, Any]:
-    """Return the content of ``metadata.json``; empty if it is not a JSON object of at most 16 MiB.
+    """Return the content of a dataset's ``metadata.json``; empty if it is no JSON object of at most 16 MiB.
 
     A dataset of a user's robot stores the robot's page. This makes the robot known, unless the page is wrong.
-
-    Args:
-        data: the dataset's ``data`` folder.
     """
     path = data / METADATA_FILE
     try:
@@ -97,11 +94,7 @@ def provenance(
 ) -> dict[str, Any]:
     """Return the metadata about the authors, the code and the versions that made a dataset.
 
-    Args:
-        authors: names of the authors.
-        code: address of the code that made the episodes; None for this package.
-        algorithm: name of the algorithm that trained the policy.
-        description: one or two sentences about the dataset.
+    ``code`` is the address of the code that made the episodes; None for this package.
     """
     versions = {name: version(name) for name in PACKAGES}
     return {

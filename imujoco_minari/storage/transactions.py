@@ -83,9 +83,7 @@ def _make_staging_root(root: Path) -> None:
 def scratch(parent: Path, prefix: str = "") -> Iterator[Path]:
     """Make a locked folder in ``parent`` and remove it at the end. First remove those of dead processes.
 
-    Args:
-        parent: a folder on the file system of the later rename.
-        prefix: prefix of the folder's name. Only leftovers with this prefix are removed.
+    The names of all these folders begin with ``prefix``.
     """
     _remove_leftovers(parent, prefix)
     folder, lock = _make_locked_folder(parent, prefix)

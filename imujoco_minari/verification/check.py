@@ -21,12 +21,7 @@ from imujoco_minari.verification.findings import MAX_FINDINGS, Finding, Findings
 
 
 def check(data: Path, metadata: Mapping[str, Any]) -> Findings:
-    """Check everything of the Minari storage in the folder ``data`` except the replay of its episodes.
-
-    Args:
-        data: the folder with ``main_data.hdf5`` and ``metadata.json``.
-        metadata: the content of ``metadata.json``.
-    """
+    """Check everything of the Minari storage in the folder ``data`` except the replay of its episodes."""
     return merge(data, metadata, [check_part(data, metadata)])
 
 

@@ -29,11 +29,8 @@ def replay(
 ) -> Iterator[Finding]:
     """Replay episodes from their seeds and actions and compare, bit for bit.
 
-    Args:
-        file: the open HDF5 file.
-        episodes: numbers of those to replay; imported ones, which have no seed, are passed over.
-        models: variant id -> MJCF text, where models do not follow from the ids.
-        on_episode: called after each.
+    Imported episodes, which have no seed, are passed over. ``models`` has the MJCF texts of the variants
+    whose models do not follow from their ids.
     """
     environments: dict[str, gym.Env[Any, Any]] = {}
     try:
