@@ -60,7 +60,6 @@ def staging(*dataset_ids: str) -> Iterator[Path]:
     """
     root = datasets_root() / STAGING
     with storage_errors(root.parent):
-        _make_staging_root(root)
         for dataset_id in dataset_ids:
             check_place(dataset_folder(dataset_id))
         try:
@@ -69,14 +68,6 @@ def staging(*dataset_ids: str) -> Iterator[Path]:
         finally:
             with suppress(OSError):
                 root.rmdir()
-
-
-def _make_staging_root(root: Path) -> None:
-    """Make the folder that contains all staging folders. Every user of a shared root may write to it."""
-    root.mkdir(parents=True, exist_ok=True)
-    with suppress(OSError):
-        # The mode of /tmp: users can remove only their own folders. A folder of another user keeps its mode.
-        root.chmod(0o1777)
 
 
 @contextmanager
@@ -96,9 +87,12 @@ def scratch(parent: Path, prefix: str = "") -> Iterator[Path]:
 def _make_locked_folder(root: Path, prefix: str) -> tuple[Path, int]:
     """Make a folder in ``root`` and lock it. Return the folder and the descriptor of its lock."""
     while True:
-        if root.name == STAGING:
-            _make_staging_root(root)
         root.mkdir(parents=True, exist_ok=True)
+        if root.name == STAGING:
+            # Every user of a shared root may stage. This is the mode of /tmp: users can remove only their own
+            # folders. A folder of another user keeps its mode.
+            with suppress(OSError):
+                root.chmod(0o1777)
         # Between two of these calls another process may remove a folder that is not locked yet.
         with suppress(FileNotFoundError, BlockingIOError):
             folder = Path(tempfile.mkdtemp(dir=root, prefix=prefix))
