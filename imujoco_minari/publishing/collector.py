@@ -1,12 +1,13 @@
 """Collectors: they roll a policy out in a variant and record the episodes.
 
-A collector writes to the storage that it is given. It does not know the Minari root.
+It does not know the Minari root.
 """
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from imujoco_minari.policies.adapters import batch_act, checked
 from imujoco_minari.policies.rollouts import episode_seed, roll_out_together
 from imujoco_minari.policies.universal import ToldPolicy, UniversalPolicy
 from imujoco_minari.storage.quiet_file import safe_point
-from imujoco_minari.storage.writer import EpisodeStorage, new_storage
+from imujoco_minari.storage.writer import EpisodeWriter
 from imujoco_minari.variants import Variant
 
 # Seed of an episode -> its attributes.
@@ -30,8 +31,8 @@ Attributes = Callable[[int], Mapping[str, Any]]
 OnEpisode = Callable[[], None]
 
 
-class StorageCollector(gym.Wrapper[Any, Any, Any, Any]):
-    """Records whole episodes into a storage: the arrays that ``minari.DataCollector`` records.
+class Collector(gym.Wrapper[Any, Any, Any, Any]):
+    """Records whole episodes: the arrays that ``minari.DataCollector`` records.
 
     The stock collector checks both spaces at every step and rebuilds its buffer through ``jax``. That takes
     30 us per step, where a HalfCheetah's physics take 25 us. This collector checks the spaces once per
@@ -39,15 +40,15 @@ class StorageCollector(gym.Wrapper[Any, Any, Any, Any]):
 
     Args:
         env: the environment to step.
-        storage: the storage of the episodes. Several collectors may share one.
+        writer: writes the episodes. Several collectors may share one.
         on_episode: called after each episode.
     """
 
     def __init__(
-        self, env: gym.Env[Any, Any], storage: EpisodeStorage, on_episode: OnEpisode = lambda: None
+        self, env: gym.Env[Any, Any], writer: EpisodeWriter, on_episode: OnEpisode = lambda: None
     ) -> None:
         super().__init__(env)
-        self._storage, self._on_episode = storage, on_episode
+        self._writer, self._on_episode = writer, on_episode
         self._buffer: EpisodeBuffer | None = None
         self._number = 0
 
@@ -79,11 +80,11 @@ class StorageCollector(gym.Wrapper[Any, Any, Any, Any]):
         self._number = number
 
     def _store(self, buffer: EpisodeBuffer) -> None:
-        # One conversion serves both the spaces and the storage.
+        # One conversion serves both the spaces and the writer.
         observations, actions = np.asarray(buffer.observations), np.asarray(buffer.actions)
-        _warn_if_outside(self._storage.observation_space, observations, "Observation")
-        _warn_if_outside(self._storage.action_space, actions, "Action")
-        self._storage.update_episodes([replace(buffer, observations=observations, actions=actions)])
+        _warn_if_outside(self._writer.observation_space, observations, "Observation")
+        _warn_if_outside(self._writer.action_space, actions, "Action")
+        self._writer.add(replace(buffer, observations=observations, actions=actions))
         self._buffer = None
         self._number += 1
         self._on_episode()
@@ -128,20 +129,17 @@ def collect(
     seeds = [episode_seed(seed, episode) for episode in episodes]
     # A universal policy is told another variant in each episode, so one episode runs at a time.
     told = ToldPolicy(policy) if isinstance(policy, UniversalPolicy) else None
-    envs = [gym.make(spec) for _ in range(1 if told else min(LANES, len(seeds)))]
-    storage = new_storage(target, envs[0], attributes)
-    collectors = [StorageCollector(env, storage, on_episode) for env in envs]
-    act = checked(batch_act(told or policy), envs[0].action_space.shape or ())
+    with EpisodeWriter(target, spec, attributes) as writer, ExitStack() as stack:
+        collectors = [
+            stack.enter_context(Collector(gym.make(spec), writer, on_episode))
+            for _ in range(1 if told else min(LANES, len(seeds)))
+        ]
+        act = checked(batch_act(told or policy), writer.action_space.shape or ())
 
-    def begin(lane: int, number: int) -> None:
-        collectors[lane].begin(number)
-        if told is not None:
-            told.tell(Variant.parse(attributes(seeds[number])["variant"]))
+        def begin(lane: int, number: int) -> None:
+            collectors[lane].begin(number)
+            if told is not None:
+                told.tell(Variant.parse(attributes(seeds[number])["variant"]))
 
-    try:
         for _ in roll_out_together(collectors, act, seeds, begin):
             pass
-    finally:
-        for collector in collectors:
-            collector.close()
-        storage.flush()

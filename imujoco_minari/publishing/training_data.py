@@ -10,21 +10,19 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import gymnasium as gym
-
 from imujoco_minari.envs.mjcf import canonical_mjcf
 from imujoco_minari.envs.registration import environment_spec
 from imujoco_minari.errors import PolicyNotFoundError, TrainingError
 from imujoco_minari.policies.references import measured_record, reference_scores
 from imujoco_minari.policies.rungs import MEDIUM_SHARE
 from imujoco_minari.policies.tiers import MEDIUM_REPLAY, REPLAY
-from imujoco_minari.publishing.collector import OnEpisode, StorageCollector
+from imujoco_minari.publishing.collector import Collector, OnEpisode
 from imujoco_minari.publishing.new_dataset import NewDataset, find_published, publish_written
 from imujoco_minari.publishing.outcome import Published
 from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.storage import file_format
 from imujoco_minari.storage.metadata import provenance
-from imujoco_minari.storage.writer import new_storage
+from imujoco_minari.storage.writer import EpisodeWriter
 from imujoco_minari.training.agents import ALGORITHM
 from imujoco_minari.training.hyperparameters import SCRATCH, hyperparameters
 from imujoco_minari.training.run import OnInterval, Progress, Run, do_nothing
@@ -106,14 +104,10 @@ def record_training(
     folder.mkdir(parents=True)
     recorded = folder / "recorded"
     attributes = file_format.attributes(task.variant, tier) | {"source": dataset_id}
-    with closing(gym.make(environment_spec(task.variant))) as env:
-        storage = new_storage(recorded, env, lambda seed: attributes)
-    run = Run(task, folder, lambda env: StorageCollector(env, storage, on_episode), device)
-    try:
-        run.train(on_interval)
-    finally:
-        run.close()
-        storage.flush()
+    with EpisodeWriter(recorded, environment_spec(task.variant), lambda seed: attributes) as writer:
+        run = Run(task, folder, lambda env: Collector(env, writer, on_episode), device)
+        with closing(run):
+            run.train(on_interval)
     if run.progress.best_score < task.target < float("inf"):
         raise TrainingError(
             f"{dataset_id}: the run has reached a return of {run.progress.best_score:.0f} in "
