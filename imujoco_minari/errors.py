@@ -6,7 +6,7 @@ A message names the thing, says what is wrong, and lists the valid choices or th
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from operator import index
 from pathlib import Path
@@ -149,6 +149,12 @@ def unknown(what: str, word: object, choices: Iterable[str]) -> str:
     """
     shown, choices = clipped(word), list(choices)
     return f"{what} {shown!r}{suggestion(shown, choices)}; valid: {', '.join(choices)}"
+
+
+def listed(names: Sequence[str], shown: int = 4) -> str:
+    """Return the first names, and how many there are more."""
+    more = f" and {len(names) - shown} more" if len(names) > shown else ""
+    return ", ".join(names[:shown]) + more
 
 
 def clipped(text: object) -> str:

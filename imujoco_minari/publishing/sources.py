@@ -17,15 +17,12 @@ from gymnasium.envs.registration import EnvSpec
 from minari import MinariDataset
 from minari.serialization import deserialize_space
 
-from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError, check_one_robot
+from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError, check_one_robot, listed
 from imujoco_minari.loading.selection import view_of
 from imujoco_minari.storage import copying, file_format, minari_root
 from imujoco_minari.storage.containment import LinkedFiles
 from imujoco_minari.storage.metadata import read_metadata
 from imujoco_minari.verification.findings import same
-
-# Ids that a message lists.
-_SHOWN = 4
 
 
 @dataclass(frozen=True)
@@ -197,8 +194,8 @@ def check_current(dataset_id: str, sources: Sequence[Source], *, link: bool) -> 
     elif combined != ids:
         lacks = [name for name in ids if name not in combined]
         more = [name for name in map(str, combined) if name not in ids]
-        words = [f"lacks {_listed(lacks)}"] if lacks else []
-        words += [f"also has {_listed(more)}"] if more else []
+        words = [f"lacks {listed(lacks)}"] if lacks else []
+        words += [f"also has {listed(more)}"] if more else []
         differs = f"already combines other datasets: it {' and '.join(words) or 'has another order'}"
     elif linked != link:
         differs = f"already exists, and {'links to' if linked else 'copies'} its episodes"
@@ -224,7 +221,7 @@ def _changed(dataset_id: str, metadata: dict[str, Any], sources: Sequence[Source
     changed = []
     if isinstance(then, list):
         changed = [each.dataset_id for each, new in zip(sources, now, strict=True) if new not in then]
-    return f"is stale: its sources have changed{f': {_listed(changed)}' if changed else ''}"
+    return f"is stale: its sources have changed{f': {listed(changed)}' if changed else ''}"
 
 
 def _parsed(dataset_id: str, metadata: dict[str, Any], key: str, parse: Callable[[Any], Any]) -> Any:
@@ -248,8 +245,3 @@ def reading_errors(message: str) -> Iterator[None]:
         raise DatasetError(
             f"{message}: {str(error)[:200]}; `imujoco verify` finds what is wrong with it"
         ) from None
-
-
-def _listed(names: Sequence[str]) -> str:
-    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
-    return ", ".join(names[:_SHOWN]) + more
