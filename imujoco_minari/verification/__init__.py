@@ -25,9 +25,8 @@ from imujoco_minari.verification import child_process
 from imujoco_minari.verification.check import check, unreadable
 from imujoco_minari.verification.findings import MAX_FINDINGS, Finding, Findings, differs
 from imujoco_minari.verification.identity import dataset_models
-from imujoco_minari.verification.modes import actions
 from imujoco_minari.verification.published import compare_with_published, published_entry
-from imujoco_minari.verification.replay import replay
+from imujoco_minari.verification.replay import actions, replay
 
 __all__ = ["Finding", "Findings", "inspect", "verify"]
 

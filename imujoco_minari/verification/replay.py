@@ -1,9 +1,10 @@
-"""The replay of episodes: the recorded seeds and actions through the variant's environment, bit for bit."""
+"""The replay of episodes, bit for bit, and whether their actions are the modes of known policies."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from importlib.metadata import version
 from typing import Any
 
@@ -12,13 +13,18 @@ import h5py
 import numpy as np
 
 from imujoco_minari.envs.registration import make
+from imujoco_minari.policies import Actor
+from imujoco_minari.policies.universal import UniversalPolicy
 from imujoco_minari.storage import file_format
 from imujoco_minari.variants.original import variant_of
+from imujoco_minari.verification.expected import known_parts
 from imujoco_minari.verification.findings import Finding
 from imujoco_minari.verification.structure import is_replayed
 
 # Processor time (s) that a step may take on average, and that is granted on top. Usual steps take 1e-4 s.
 STEP_SECONDS, START_SECONDS = 0.02, 1.0
+# Machines round float32 differently by less than this, and samples differ from modes by more.
+TOLERANCE = 1e-4
 
 
 def replay(
@@ -84,6 +90,32 @@ def _replay_episode(group: h5py.Group, name: str, env: gym.Env[Any, Any]) -> Ite
             yield Finding(
                 f"{name}/{key}[{differing[0]}]",
                 f"differs from its replay by {simulator()}, as do {len(differing) - 1} later rows",
+            )
+
+
+def actions(file: h5py.File, metadata: Mapping[str, Any]) -> Iterator[Finding]:
+    """Report a known policy that did not choose the actions as the metadata of a checked dataset state.
+
+    It looks at the first episode of each policy only, so that the check takes no time beside the replay.
+    """
+    first = 0
+    stated = file[file_format.episode_name(0)].attrs
+    for part in known_parts(variant_of(stated), str(stated["tier"]), metadata) or ():
+        name = file_format.episode_name(first)
+        first += part.episodes
+        policy = part.policy
+        if isinstance(policy, UniversalPolicy) and part.episodes:
+            policy = policy.fold(variant_of(file[name].attrs))
+        if part.episodes == 0 or not isinstance(policy, Actor):
+            continue
+        observations, chosen = file[name]["observations"][:-1], file[name]["actions"][()]
+        modes = replace(policy, deterministic=True).act(observations, np.random.default_rng())
+        are_modes = np.allclose(chosen, modes, rtol=0, atol=TOLERANCE)
+        if are_modes != policy.deterministic:
+            yield Finding(
+                f"{name}/actions",
+                f"are {'the' if are_modes else 'not the'} modes of the policy, and the metadata state "
+                f"policy_deterministic: {str(policy.deterministic).lower()}",
             )
 
 
