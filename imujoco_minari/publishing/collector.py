@@ -1,12 +1,12 @@
 """Collectors: they roll a policy out in a variant and record the episodes.
 
-It does not know the Minari root.
+A collector does not know the Minari root.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -23,11 +23,9 @@ from imujoco_minari.policies.adapters import batch_act, checked
 from imujoco_minari.policies.rollouts import episode_seed, roll_out_together
 from imujoco_minari.policies.universal import ToldPolicy, UniversalPolicy
 from imujoco_minari.storage.quiet_file import safe_point
-from imujoco_minari.storage.writer import EpisodeWriter
+from imujoco_minari.storage.writer import Attributes, EpisodeWriter
 from imujoco_minari.variants import Variant
 
-# Seed of an episode -> its attributes.
-Attributes = Callable[[int], Mapping[str, Any]]
 OnEpisode = Callable[[], None]
 
 
@@ -72,7 +70,7 @@ class Collector(gym.Wrapper[Any, Any, Any, Any]):
     ) -> tuple[Any, dict[str, Any]]:
         """Begin an episode. An unfinished episode is discarded."""
         observation, info = self.env.reset(seed=seed, options=options)
-        self._buffer = EpisodeBuffer(self._number, seed, options, observations=[observation], actions=[])
+        self._buffer = EpisodeBuffer(self._number, seed, observations=[observation], actions=[])
         return observation, info
 
     def begin(self, number: int) -> None:

@@ -18,12 +18,13 @@ from gymnasium.envs.registration import EnvSpec
 from h5py import h5a, h5d, h5g, h5s, h5t
 from minari.data_collector import EpisodeBuffer
 from minari.data_collector.callbacks import EpisodeMetadataCallback
-from minari.dataset._storages.hdf5_storage import flatten_dict
 from minari.dataset.minari_storage import MinariStorage
-from numpy.typing import NDArray
 
 from imujoco_minari.storage import file_format
 from imujoco_minari.storage.quiet_file import safe_point, writing
+
+# Seed of an episode -> its attributes.
+Attributes = Callable[[Any], Mapping[str, Any]]
 
 _SCALAR = h5s.create(h5s.SCALAR)
 _TEXT = h5py.string_dtype()
@@ -41,9 +42,7 @@ class EpisodeWriter(ExitStack):
         attributes: returns the attributes of the episode with a seed, in addition to Minari's own.
     """
 
-    def __init__(
-        self, folder: Path, spec: EnvSpec, attributes: Callable[[Any], Mapping[str, Any]] = lambda seed: {}
-    ) -> None:
+    def __init__(self, folder: Path, spec: EnvSpec, attributes: Attributes = lambda seed: {}) -> None:
         super().__init__()
         storage = MinariStorage.new(folder, env_spec=spec)
         self.observation_space, self.action_space = storage.observation_space, storage.action_space
@@ -58,45 +57,35 @@ class EpisodeWriter(ExitStack):
             self._file = self.enter_context(writing(self._path))
         self._waiting[self._written if episode.id is None else episode.id] = episode
         while self._written in self._waiting:
-            self._write_next(self._waiting.pop(self._written))
+            self._write_next(self._file, self._waiting.pop(self._written))
             self._written += 1
 
-    def _write_next(self, episode: EpisodeBuffer) -> None:
+    def _write_next(self, file: h5py.File, episode: EpisodeBuffer) -> None:
+        """Write the group of an episode: its arrays, its attributes and its digests.
+
+        h5py's high-level interface takes four times as long to write something as small as an attribute.
+        """
         safe_point()
-        arrays = {key: np.asarray(getattr(episode, key)) for key in file_format.ARRAYS}
+        group = h5g.create(file.id, file_format.episode_name(self._written).encode())
+        # Minari prints the keys of an episode's infos, and fails if there is no group.
+        h5g.create(group, file_format.INFOS.encode())
+        arrays = {key: np.ascontiguousarray(getattr(episode, key)) for key in file_format.ARRAYS}
+        digests = {key: file_format.array_sha256(array) for key, array in arrays.items()}
+        for key, array in arrays.items():
+            kind, space = h5t.py_create(array.dtype, logical=True), h5s.create_simple(array.shape)
+            dataset = h5d.create(group, key.encode(), kind, space)
+            dataset.write(h5s.ALL, h5s.ALL, array)
+            write_attribute(dataset, file_format.DIGEST, digests[key])
         attributes = {
             "id": self._written,
             "total_steps": len(arrays["rewards"]),
             **self._attributes(episode.seed),
             **({} if episode.seed is None else {"seed": episode.seed}),
-            **flatten_dict(episode.options or {}, "options"),
             **EpisodeMetadataCallback()(arrays),
+            file_format.DIGEST: file_format.episode_sha256(digests),
         }
-        write_episode(self._file, file_format.episode_name(self._written), arrays, attributes)
-
-
-def write_episode(
-    file: h5py.File, name: str, arrays: Mapping[str, NDArray[Any]], attributes: Mapping[str, Any]
-) -> None:
-    """Write an episode group with its arrays, its attributes and its digests.
-
-    h5py's high-level interface takes four times as long to write something as small as an attribute.
-    """
-    group = h5g.create(file.id, name.encode())
-    # Minari prints the keys of an episode's infos, and fails if there is no group.
-    h5g.create(group, file_format.INFOS.encode())
-    digests = {}
-    for key, array in arrays.items():
-        array = np.ascontiguousarray(array)
-        dataset = h5d.create(
-            group, key.encode(), h5t.py_create(array.dtype, logical=True), h5s.create_simple(array.shape)
-        )
-        dataset.write(h5s.ALL, h5s.ALL, array)
-        digests[key] = file_format.array_sha256(array)
-        write_attribute(dataset, file_format.DIGEST, digests[key])
-    for key, value in attributes.items():
-        write_attribute(group, key, value)
-    write_attribute(group, file_format.DIGEST, file_format.episode_sha256(digests))
+        for key, value in attributes.items():
+            write_attribute(group, key, value)
 
 
 def write_attribute(owner: Any, name: str, value: Any) -> None:
