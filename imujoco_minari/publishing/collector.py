@@ -68,7 +68,7 @@ class Collector(gym.Wrapper[Any, Any, Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode. An unfinished episode is discarded."""
+        """Begin an episode. An unfinished episode is discarded, because its replay would not end either."""
         observation, info = self.env.reset(seed=seed, options=options)
         self._buffer = EpisodeBuffer(self._number, seed, observations=[observation], actions=[])
         return observation, info

@@ -64,6 +64,7 @@ def linked_collections() -> dict[str, set[str]]:
     """Return the ids of the linked collections of the root that refer to each dataset."""
     found: dict[str, set[str]] = {}
     for collection, metadata in local_collections():
-        for source in sources(metadata) if file_format.LINKED in metadata else ():
-            found.setdefault(source, set()).add(collection)
+        if file_format.LINKED in metadata:
+            for source in sources(metadata):
+                found.setdefault(source, set()).add(collection)
     return found
