@@ -6,7 +6,7 @@ A message names the thing, says what is wrong, and lists the valid choices or th
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from operator import index
 from pathlib import Path
@@ -145,13 +145,16 @@ def suggestion(word: str, choices: Iterable[str]) -> str:
 def unknown(what: str, word: object, choices: Iterable[str]) -> str:
     """Return the message for a word that is none of the choices, with the nearest one and all of them.
 
-    Args:
-        what: the beginning of the message, as in ``unknown robot``.
-        word: what the user wrote.
-        choices: the valid words.
+    It begins with ``what``, as in ``unknown robot``.
     """
     shown, choices = clipped(word), list(choices)
     return f"{what} {shown!r}{suggestion(shown, choices)}; valid: {', '.join(choices)}"
+
+
+def listed(names: Sequence[str], shown: int = 4) -> str:
+    """Return the first names, and how many there are more."""
+    more = f" and {len(names) - shown} more" if len(names) > shown else ""
+    return ", ".join(names[:shown]) + more
 
 
 def clipped(text: object) -> str:
@@ -161,15 +164,10 @@ def clipped(text: object) -> str:
 
 
 def whole_number(value: Any, name: str, *, least: int) -> int:
-    """Return ``value`` as an ``int``.
-
-    Args:
-        value: the argument.
-        name: its name, for the message.
-        least: the smallest valid value.
+    """Return the argument ``name`` as an ``int``.
 
     Raises:
-        ArgumentError: when ``value`` is not a whole number, or is smaller than ``least``.
+        ArgumentError: when it is not a whole number, or is smaller than ``least``.
     """
     try:
         number = index(value)
@@ -193,14 +191,10 @@ def as_path(value: Any) -> Path:
 
 
 def check_one_robot(datasets: Iterable[tuple[str, str]], purpose: str) -> None:
-    """Check that datasets are of one robot: robots with equal shapes still mean different things.
+    """Raise a DatasetError if datasets, pairs of robot and id, are of several robots.
 
-    Args:
-        datasets: the robot of each dataset, empty where it is not known, and its id.
-        purpose: the subject and the verb of the message, as in ``arrays hold``.
-
-    Raises:
-        DatasetError: when they are of several robots.
+    Robots with equal shapes still mean different things. An unknown robot is an empty text. The message
+    begins with ``purpose``, as in ``arrays hold``.
     """
     robots: dict[str, str] = {}
     for robot, dataset_id in datasets:

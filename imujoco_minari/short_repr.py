@@ -24,14 +24,9 @@ def short_repr(self: Any) -> str:
     shown = (
         f"{name}={_short(value)}"
         for name, value in values.items()
-        if name not in defaults or not _is(value, defaults[name])
+        if name not in defaults or _short(value) != _short(defaults[name])
     )
     return f"{type(self).__name__}({', '.join(shown)})"
-
-
-def _is(value: Any, default: Any) -> bool:
-    # A comparison with NaN is false, and one of arrays is no truth value.
-    return value is default or (isinstance(value, str | int) and value == default)
 
 
 def _short(value: Any) -> str:

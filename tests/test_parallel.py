@@ -19,7 +19,7 @@ from processes import alive, running
 
 from imujoco_minari.errors import DatasetError, DependencyError, JobError
 from imujoco_minari.parallel import ATTEMPTS, run_jobs
-from imujoco_minari.publishing.publisher import publish, publish_all, publish_recipe
+from imujoco_minari.publishing.publisher import publish, publish_all
 from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.variants import Variant
@@ -171,17 +171,6 @@ def test_ray_that_is_not_installed_is_named_with_its_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(DependencyError, match=r'run `pip install "imujoco-minari\[ray\]"`$'):
         next(run_jobs(double, [1], backend="ray"))
-
-
-def test_the_content_does_not_depend_on_how_many_jobs(root):
-    variant = Variant.parse("hopper-base")
-    alone = publish_recipe(Recipe(variant, "random", 9, 4))
-    shared = publish_recipe(Recipe(variant, "random", 9, 4), jobs=2, force=True)
-    assert shared.created
-    assert shared.content_sha256 == alone.content_sha256
-    assert shared.steps == alone.steps
-    dataset = minari.load_dataset(alone.dataset_id)
-    assert [episode["id"] for episode in dataset.storage.get_episode_metadata(range(9))] == list(range(9))
 
 
 def test_several_find_what_one_finds(root):

@@ -42,7 +42,7 @@ def push_datasets(
     `imujoco push --all --with-base --with-collections --dry-run`
     """
     from imujoco_minari.remotes import collections_of, plan_push, push_all
-    from imujoco_minari.remotes.connecting import parse_address
+    from imujoco_minari.remotes.stores import parse_address
 
     chosen = choice.datasets()
     if with_collections:

@@ -106,12 +106,7 @@ def episode_batches(data: Arrays, batch_size: int, *, seed: int = 0) -> Iterator
 
 
 def window_starts(data: Arrays, length: int, *, padded: bool = False) -> Array:
-    """Return the rows (W,) at which a window of ``length`` steps may start.
-
-    Args:
-        data: the arrays.
-        length: steps of a window.
-        padded: return every row; otherwise only rows with ``length`` steps left in their episode.
+    """Return the rows (W,) at which a window of ``length`` steps may start: every row if it is ``padded``.
 
     Raises:
         DatasetError: when no episode has ``length`` steps.

@@ -17,7 +17,7 @@ from numpy.typing import DTypeLike, NDArray
 from imujoco_minari.errors import ArgumentError, DatasetError, check_one_robot, clipped
 from imujoco_minari.loading import selection
 from imujoco_minari.loading.episode_arrays import Arrays
-from imujoco_minari.loading.selection import Datasets, EpisodeReference, View
+from imujoco_minari.loading.selection import Datasets, EpisodeReference
 from imujoco_minari.loading.statistics import Statistics, measure, normalized_dtype
 from imujoco_minari.storage.reader import EpisodeFile
 
@@ -74,9 +74,9 @@ def arrays(
         if not found:
             raise DatasetError("the datasets hold no episodes")
         kept = selection.matching(found, {} if where is None else where)
-        check_one_robot(((each.origin.robot, each.view.dataset_id) for each in kept), "arrays hold")
+        check_one_robot(((each.origin.robot, each.file.name) for each in kept), "arrays hold")
         share = selection.portion_of([episode.origin for episode in kept], portion, seed)
-        result = _fill([kept[place] for place in share], files, dtype)
+        result = _fill([kept[place] for place in share], dtype)
     if normalize is False:
         return result
     statistics = measure(result.observations) if normalize is True else normalize
@@ -105,16 +105,14 @@ def _floating(dtype: DTypeLike) -> np.dtype[Any]:
     return found
 
 
-def _fill(
-    kept: Sequence[EpisodeReference], files: Mapping[View, EpisodeFile], dtype: DTypeLike | None
-) -> Arrays:
+def _fill(kept: Sequence[EpisodeReference], dtype: DTypeLike | None) -> Arrays:
     """Allocate the arrays of all kept episodes, and read each episode into its rows."""
-    lengths = np.array([files[e.view].length(e.number) for e in kept], dtype=np.int64)
+    lengths = np.array([each.file.length(each.number) for each in kept], dtype=np.int64)
     if not lengths.all():
-        raise DatasetError(f"{kept[int(lengths.argmin())].view.dataset_id} holds an episode without steps")
+        raise DatasetError(f"{kept[int(lengths.argmin())].file.name} holds an episode without steps")
     ends = np.cumsum(lengths)
     starts = ends - lengths
-    first = files[kept[0].view]
+    first = kept[0].file
     layouts = {name: first.layout(kept[0].number, name) for name in ("observations", "actions", "rewards")}
     for (name, (shape, stored)), dimensions in zip(layouts.items(), (2, 2, 1), strict=True):
         if len(shape) != dimensions or stored.kind not in "fiu":
@@ -137,7 +135,7 @@ def _fill(
     scratch, scratch_rewards = empty("observations", rows=longest + 1), empty("rewards", rows=longest)
     for episode, start, end in zip(kept, starts.tolist(), ends.tolist(), strict=True):
         both, earned = scratch[: end - start + 1], scratch_rewards[: end - start]
-        files[episode.view].read(
+        episode.file.read(
             episode.number,
             {
                 "observations": both,

@@ -126,11 +126,8 @@ def _draw(candidates: Array, scores: Array, count: int, name: str, rng: np.rando
 
 
 def _tier_scores(data: Arrays, tiers: Sequence[str]) -> Array:
-    if (
-        isinstance(tiers, str)
-        or not isinstance(tiers, Sequence)
-        or not all(isinstance(t, str) for t in tiers)
-    ):
+    several = isinstance(tiers, Sequence) and not isinstance(tiers, str)
+    if not several or not all(isinstance(tier, str) for tier in tiers):
         raise ArgumentError(
             f"tiers must be a list from best to worst, as ['expert', 'random'], not {clipped(repr(tiers))}"
         )

@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imujoco_minari.errors import DatasetError, VariantError, clipped, suggestion, whole_number
 from imujoco_minari.loading import selection
@@ -19,8 +18,6 @@ from imujoco_minari.loading.episode_arrays import Arrays, check_arrays
 from imujoco_minari.loading.load import arrays
 from imujoco_minari.loading.selection import Datasets
 from imujoco_minari.short_repr import short_repr
-
-Array = NDArray[Any]
 
 
 class Shots(NamedTuple):
@@ -122,15 +119,18 @@ class Sampler:
                 f"{variant} has {len(episodes)} episodes in this portion: "
                 f"{tot_shots} cannot be drawn{' without replacement' if len(episodes) else ''}"
             )
-        drawn = self._rng.choice(episodes, size=tot_shots, replace=replace)
-        starts, lengths = self.arrays.episode_starts[drawn], self._lengths[drawn]
-        observations, actions = (
+        chosen = self._rng.choice(episodes, size=tot_shots, replace=replace)
+        starts, lengths = self.arrays.episode_starts[chosen], self._lengths[chosen]
+        drawn: list[Any] = [
             padded_rows(column, starts, lengths, self._horizon).astype(np.float32, copy=False)
             for column in (self.arrays.observations, self.arrays.actions)
-        )
-        mask = np.arange(self._horizon) < lengths[:, None]
+        ]
+        drawn.append(np.arange(self._horizon) < lengths[:, None])
         if self._torch:
-            return Shots(_tensor(observations), _tensor(actions), _tensor(mask), variant)
+            import torch
+
+            drawn = [torch.from_numpy(array) for array in drawn]
+        observations, actions, mask = drawn
         return Shots(observations, actions, mask, variant)
 
     def _place(self, idx: int | str) -> int:
@@ -178,9 +178,3 @@ def few_shot(data: Arrays, *, shots: int = 5, queries: int | None = None, seed: 
         support += sorted(order[:shots])
         query += sorted(order[shots : None if queries is None else shots + queries])
     return FewShot(data.select(support), data.select(query))
-
-
-def _tensor(array: Array) -> Any:
-    import torch
-
-    return torch.from_numpy(array)

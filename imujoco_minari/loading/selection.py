@@ -70,9 +70,9 @@ class View:
 
 @dataclass(frozen=True)
 class EpisodeReference:
-    """One stored episode: the view that has it, its number in the file, and its origin."""
+    """One stored episode: the file that has it, its number in the file, and its origin."""
 
-    view: View
+    file: EpisodeFile
     number: int
     origin: Origin
 
@@ -141,7 +141,7 @@ def episodes(view: View, file: EpisodeFile) -> list[EpisodeReference]:
                 f"{view.dataset_id}: episode {number} has attributes that are not text, or a percent "
                 "that is not a number"
             ) from None
-        found.append(EpisodeReference(view, number, known[key]))
+        found.append(EpisodeReference(file, number, known[key]))
     return found
 
 
@@ -197,11 +197,8 @@ def _values(name: str, wanted: Any) -> set[Any]:
 def portion_of(origins: Sequence[Origin], portion: tuple[float, float], seed: int) -> list[int]:
     """Return which episodes make up a share of each origin's episodes, in their order.
 
-    Args:
-        origins: the origin of each episode.
-        portion: start and end of the share of the episodes that ``seed`` shuffles. (0, 0.75) and
-            (0.75, 1) are two disjoint shares that together are all.
-        seed: of the shuffle.
+    A portion is the start and the end of the share of the episodes that ``seed`` shuffles. (0, 0.75) and
+    (0.75, 1) are two disjoint shares that together are all.
 
     Raises:
         ArgumentError: when ``portion`` is not an interval within [0, 1], or the seed is not valid.

@@ -20,8 +20,13 @@ from minari.dataset.minari_storage import MinariStorage
 from imujoco_minari.envs.registration import dataset_name, dataset_spec, stored_models
 from imujoco_minari.errors import ArgumentError, DatasetError, DatasetExistsError
 from imujoco_minari.publishing.sizes import check_space
-from imujoco_minari.publishing.sources import Source, check_sources, open_source, reading_errors
-from imujoco_minari.publishing.staleness import check_current
+from imujoco_minari.publishing.sources import (
+    Source,
+    check_current,
+    check_sources,
+    open_source,
+    reading_errors,
+)
 from imujoco_minari.storage import copying, file_format, minari_root, transactions
 from imujoco_minari.storage.metadata import complete_metadata, provenance
 from imujoco_minari.storage.quiet_file import writing

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import h5py
 from gymnasium.envs.registration import EnvSpec
 from minari.data_collector import EpisodeBuffer
@@ -23,7 +22,7 @@ from imujoco_minari.publishing.outcome import Published
 from imujoco_minari.storage import file_format, minari_root, transactions
 from imujoco_minari.storage.metadata import complete_metadata, read_metadata
 from imujoco_minari.storage.quiet_file import writing
-from imujoco_minari.storage.writer import new_storage
+from imujoco_minari.storage.writer import EpisodeWriter
 from imujoco_minari.verification import inspect
 
 # Metadata keys that identify the origin of given episodes.
@@ -68,18 +67,14 @@ def publish_episodes(
         return found
 
     def write(data: Path) -> None:
-        env = gym.make(spec)
-        storage = new_storage(data, env, dataset.attributes)
-        env.close()
-        try:
-            storage.update_episodes(episodes)
-        finally:
-            storage.flush()
+        with EpisodeWriter(data, spec, lambda seed: dataset.attributes) as writer:
+            for episode in episodes:
+                writer.add(episode)
 
     return publish_written(dataset, write, force=force)
 
 
-def publish_written(dataset: NewDataset, write: Callable[[Path], None], *, force: bool) -> Published:
+def publish_written(dataset: NewDataset, write: Callable[[Path], object], *, force: bool) -> Published:
     """Publish a dataset as :func:`publish_episodes` does.
 
     A function writes the episodes, as a Minari storage, into the new folder that it is given.
@@ -143,8 +138,10 @@ def _check_and_commit(staged: Path, dataset: NewDataset, force: bool) -> bool:
         }
         file.attrs.update({**dataset.attributes, "mjcf": dataset.mjcf, **digests})
         returns = [float(file[name].attrs["rewards_sum"]) for name in file]
+        steps = sum(int(file[name].attrs["total_steps"]) for name in file)
+    own = {"dataset_id": dataset_id, "total_episodes": len(returns), "total_steps": steps}
     stated = {**dataset.metadata, **dataset.attributes, **digests, **file_format.return_statistics(returns)}
-    complete_metadata(data, stated | {"dataset_id": dataset_id})
+    complete_metadata(data, stated | own)
     findings = inspect(data, replay_episodes=1)
     if findings:
         raise DatasetError(f"{dataset_id}: not published, because its check found: {findings[0]}")

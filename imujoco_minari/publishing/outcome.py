@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 from imujoco_minari.errors import ImujocoError
 from imujoco_minari.short_repr import short_repr
@@ -29,9 +29,9 @@ class DatasetOutcome:
     __repr__ = short_repr
 
     @classmethod
-    def failed(cls, dataset_id: str, error: ImujocoError) -> Self:
+    def failed(cls, dataset_id: str, error: ImujocoError, **fields: Any) -> Self:
         """Return the outcome of work that raised an error."""
-        return cls(dataset_id, error=str(error), missing=error.missing)
+        return cls(dataset_id, error=str(error), missing=error.missing, **fields)
 
 
 @dataclass(frozen=True, repr=False)

@@ -23,10 +23,11 @@ from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies import Policy
 from imujoco_minari.policies.references import reference_scores, weakness_of
 from imujoco_minari.policies.tiers import MEDIUM_REPLAY
+from imujoco_minari.publishing.collector import OnEpisode
 from imujoco_minari.publishing.new_dataset import NewDataset, find_published, publish_written
 from imujoco_minari.publishing.outcome import Published
 from imujoco_minari.publishing.recipes import Recipe, algorithms, description
-from imujoco_minari.publishing.shares import OnEpisode, record_shares
+from imujoco_minari.publishing.shares import record_shares
 from imujoco_minari.publishing.sizes import check_space, expected_bytes
 from imujoco_minari.publishing.training_data import record_medium_replay
 from imujoco_minari.storage.metadata import provenance

@@ -77,8 +77,6 @@ class Recipe:
     @property
     def attributes(self) -> dict[str, Any]:
         """Attributes of the file. If they name one variant, each episode has them too."""
-        if isinstance(self.variant, Ranges):
-            return file_format.ranges_attributes(self.variant, self.tier)
         return file_format.attributes(self.variant, self.tier)
 
     def episode_attributes(self, seed: int) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from imujoco_minari.errors import DatasetError, ImujocoError
 from imujoco_minari.publishing.outcome import Deleted
 from imujoco_minari.storage import file_format, minari_root, transactions
-from imujoco_minari.storage.metadata import METADATA_FILE, read_metadata, sources
+from imujoco_minari.storage.metadata import METADATA_FILE, local_collections, sources
 from imujoco_minari.storage.missing import not_in_root
 
 
@@ -63,10 +63,8 @@ def _delete(dataset_id: str, collections: set[str]) -> Deleted:
 def linked_collections() -> dict[str, set[str]]:
     """Return the ids of the linked collections of the root that refer to each dataset."""
     found: dict[str, set[str]] = {}
-    root = minari_root.datasets_root()
-    for file in root.glob(f"**/data/{METADATA_FILE}"):
-        metadata = read_metadata(file.parent)
-        if file_format.LINKED in metadata and transactions.STAGING not in file.parts:
+    for collection, metadata in local_collections():
+        if file_format.LINKED in metadata:
             for source in sources(metadata):
-                found.setdefault(source, set()).add(file.parent.parent.relative_to(root).as_posix())
+                found.setdefault(source, set()).add(collection)
     return found

@@ -3,27 +3,24 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from minari.dataset.minari_storage import MinariStorage
 
 from imujoco_minari.envs.registration import environment_spec, randomised_spec
 from imujoco_minari.errors import JobError
 from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies.tiers import TierPart
-from imujoco_minari.publishing.collector import collect
+from imujoco_minari.publishing.collector import OnEpisode, collect
 from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.storage import copying, file_format
 from imujoco_minari.storage.containment import LinkedFiles
 from imujoco_minari.storage.quiet_file import writing
 from imujoco_minari.variants import Ranges
-
-OnEpisode = Callable[[], None]
 
 
 @dataclass(frozen=True)
@@ -82,17 +79,9 @@ def _record_share(recipe: Recipe, share: _Share, on_episode: OnEpisode = lambda:
 def _join_shares(folders: Sequence[Path], data: Path) -> None:
     """Append the episodes of all folders to the first, in order, and rename it to ``data``."""
     first, *others = folders
-    if not others:
-        first.rename(data)
-        return
-    storage = MinariStorage.read(first)
-    steps = storage.total_steps
     with writing(file_format.main_file(first)) as target:
         for other in others:
             with LinkedFiles(file_format.main_file(other)) as source:
                 copying.copy_episodes(source, range(len(source.file)), target, "")
-            steps += MinariStorage.read(other).total_steps
             shutil.rmtree(other)
-        episodes = len(target)
-    storage.update_metadata({"total_episodes": episodes, "total_steps": steps})
     first.rename(data)

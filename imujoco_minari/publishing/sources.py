@@ -1,4 +1,7 @@
-"""The sources of a collection: reads their metadata once, runs no code of them, checks that they fit."""
+"""The sources of a collection: whether they fit together, and whether a collection still holds what they do.
+
+Their metadata are read once, and no code of them is run.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ from gymnasium.envs.registration import EnvSpec
 from minari import MinariDataset
 from minari.serialization import deserialize_space
 
-from imujoco_minari.errors import DatasetError, ImujocoError, check_one_robot
+from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError, check_one_robot, listed
 from imujoco_minari.loading.selection import view_of
 from imujoco_minari.storage import copying, file_format, minari_root
 from imujoco_minari.storage.containment import LinkedFiles
@@ -173,6 +176,52 @@ def check_sources(sources: Sequence[Source]) -> None:
                     f"{first.dataset_id} and {source.dataset_id} cannot be combined: "
                     f"their {name.replace('_', ' ')}s differ, {ours} and {theirs}"
                 )
+
+
+def check_current(dataset_id: str, sources: Sequence[Source], *, link: bool) -> None:
+    """Check that a dataset of the root is the collection that combining (or linking) these sources gives.
+
+    Raises:
+        DatasetExistsError: if it is another dataset, or the sources have changed since it was combined.
+        DatasetError: if it cannot be read.
+    """
+    metadata = read_metadata(minari_root.dataset_folder(dataset_id) / "data")
+    combined, linked = metadata.get("combined_datasets"), file_format.LINKED in metadata
+    ids = [source.dataset_id for source in sources]
+    episodes, had = sum(len(source.episodes) for source in sources), metadata.get("total_episodes")
+    if not combined or not isinstance(combined, list):
+        differs = "already exists and is not a collection"
+    elif combined != ids:
+        lacks = [name for name in ids if name not in combined]
+        more = [name for name in map(str, combined) if name not in ids]
+        words = [f"lacks {listed(lacks)}"] if lacks else []
+        words += [f"also has {listed(more)}"] if more else []
+        differs = f"already combines other datasets: it {' and '.join(words) or 'has another order'}"
+    elif linked != link:
+        differs = f"already exists, and {'links to' if linked else 'copies'} its episodes"
+    elif episodes != had:
+        differs = f"is stale: it has {had} episodes, and its sources have {episodes} now"
+    else:
+        differs = _changed(dataset_id, metadata, sources, link)
+    if differs:
+        raise DatasetExistsError(f"{dataset_id} {differs}. It was not changed (--force combines it anew)")
+
+
+def _changed(dataset_id: str, metadata: dict[str, Any], sources: Sequence[Source], link: bool) -> str:
+    """Return words for sources that have changed since they were combined; empty if none has."""
+    now: list[Any] = []
+    with reading_errors(f"{dataset_id} cannot be compared with its sources"):
+        for source in sources:
+            with source.opened() as links:
+                now += source.content(links.file, link=link)
+    if file_format.collection_digest(now, link=link).items() <= metadata.items():
+        return ""
+    # A copy states one digest for all sources.
+    then = metadata[file_format.LINKED] if link else None
+    changed = []
+    if isinstance(then, list):
+        changed = [each.dataset_id for each, new in zip(sources, now, strict=True) if new not in then]
+    return f"is stale: its sources have changed{f': {listed(changed)}' if changed else ''}"
 
 
 def _parsed(dataset_id: str, metadata: dict[str, Any], key: str, parse: Callable[[Any], Any]) -> Any:

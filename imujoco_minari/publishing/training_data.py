@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
-
-import gymnasium as gym
-from minari.data_collector import EpisodeBuffer
-from minari.dataset.minari_storage import MinariStorage
 
 from imujoco_minari.envs.mjcf import canonical_mjcf
 from imujoco_minari.envs.registration import environment_spec
@@ -20,47 +16,17 @@ from imujoco_minari.errors import PolicyNotFoundError, TrainingError
 from imujoco_minari.policies.references import measured_record, reference_scores
 from imujoco_minari.policies.rungs import MEDIUM_SHARE
 from imujoco_minari.policies.tiers import MEDIUM_REPLAY, REPLAY
-from imujoco_minari.publishing.collector import StorageCollector
-from imujoco_minari.publishing.new_dataset import NewDataset, find_published, publish_episodes
+from imujoco_minari.publishing.collector import Collector, OnEpisode
+from imujoco_minari.publishing.new_dataset import NewDataset, find_published, publish_written
 from imujoco_minari.publishing.outcome import Published
 from imujoco_minari.publishing.recipes import Recipe
-from imujoco_minari.publishing.shares import OnEpisode
 from imujoco_minari.storage import file_format
 from imujoco_minari.storage.metadata import provenance
-from imujoco_minari.storage.writer import EpisodeStorage, new_storage
+from imujoco_minari.storage.writer import EpisodeWriter
 from imujoco_minari.training.agents import ALGORITHM
 from imujoco_minari.training.hyperparameters import SCRATCH, hyperparameters
 from imujoco_minari.training.run import OnInterval, Progress, Run, do_nothing
 from imujoco_minari.training.task import Task
-
-
-class WholeEpisodeCollector(StorageCollector):
-    """A collector that discards unfinished episodes. Each interval of a training run cuts its last episode.
-
-    A cut episode ends neither by termination nor by the time limit, so its replay would not end either.
-
-    Args:
-        env: the environment to step.
-        storage: the storage of the episodes.
-        on_episode: called after each whole episode.
-    """
-
-    def __init__(self, env: gym.Env[Any, Any], storage: EpisodeStorage, on_episode: OnEpisode) -> None:
-        super().__init__(env, storage)
-        self._on_episode = on_episode
-
-    def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
-        """Discard the unfinished episode and begin a new one."""
-        self.forget()
-        return super().reset(**kwargs)
-
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step the environment and record the transition."""
-        transition = super().step(action)
-        _, _, terminated, truncated, _ = transition
-        if terminated or truncated:
-            self._on_episode()
-        return transition
 
 
 def record_medium_replay(
@@ -136,42 +102,22 @@ def record_training(
     start = time.monotonic()
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    storages: list[EpisodeStorage] = []
-
-    def record(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-        storages.append(new_storage(folder / "recorded", env, {}))
-        return WholeEpisodeCollector(env, storages[0], on_episode)
-
-    run = Run(task, folder, record, device)
-    try:
-        run.train(on_interval)
-    finally:
-        run.close()
-        for storage in storages:
-            storage.flush()
+    recorded = folder / "recorded"
+    attributes = file_format.attributes(task.variant, tier) | {"source": dataset_id}
+    with EpisodeWriter(recorded, environment_spec(task.variant), lambda seed: attributes) as writer:
+        run = Run(task, folder, lambda env: Collector(env, writer, on_episode), device)
+        with closing(run):
+            run.train(on_interval)
     if run.progress.best_score < task.target < float("inf"):
         raise TrainingError(
             f"{dataset_id}: the run has reached a return of {run.progress.best_score:.0f} in "
             f"{run.progress.steps} steps, not {task.target:.0f}; another seed (--seed) may reach it"
         )
-    dataset = NewDataset(
-        dataset_id,
-        file_format.attributes(task.variant, tier) | {"source": dataset_id},
-        canonical_mjcf(task.variant),
-        _dataset_metadata(task, run.progress) | asked,
-    )
-    recorded = _read_episodes(folder / "recorded")
-    published = publish_episodes(dataset, environment_spec(task.variant), recorded, force=force)
+    metadata = _dataset_metadata(task, run.progress) | asked
+    dataset = NewDataset(dataset_id, attributes, canonical_mjcf(task.variant), metadata)
+    published = publish_written(dataset, lambda data: shutil.move(recorded, data), force=force)
     shutil.rmtree(folder)
     return replace(published, seconds=time.monotonic() - start)
-
-
-def _read_episodes(recorded: Path) -> Iterator[EpisodeBuffer]:
-    storage = MinariStorage.read(recorded)
-    numbers = range(storage.total_episodes)
-    seeds = (attrs["seed"] for attrs in storage.get_episode_metadata(numbers))
-    for episode, seed in zip(storage.get_episodes(numbers), seeds, strict=True):
-        yield EpisodeBuffer(seed=seed, **{key: episode[key] for key in file_format.ARRAYS})
 
 
 def _dataset_metadata(task: Task, progress: Progress) -> dict[str, Any]:

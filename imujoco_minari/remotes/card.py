@@ -20,7 +20,7 @@ from imujoco_minari.policies.tiers import EXPERT_STOCHASTIC, MEDIUM_REPLAY, RAND
 from imujoco_minari.storage.file_format import MAIN_FILE, REPLAYABLE
 from imujoco_minari.storage.metadata import AUTHOR, read_metadata, sources, texts
 from imujoco_minari.storage.missing import making
-from imujoco_minari.variants import EXPERT, parse_dataset_id
+from imujoco_minari.variants import parse_dataset_id
 
 ORIGINAL = "https://zenodo.org/records/7971395"
 PAPER = "https://arxiv.org/abs/2306.13554"
@@ -76,13 +76,7 @@ def dataset_card(data: Path, remote: str) -> str:
 
 
 def namespace_card(namespace: str, remote: str, datasets: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return the card of a namespace such as ``imujoco``, with a table of its datasets.
-
-    Args:
-        namespace: name of the namespace.
-        remote: address of the remote.
-        datasets: maps the id of each dataset that the remote lists to its metadata.
-    """
+    """Return the card of a namespace such as ``imujoco``, with a table of its datasets: id -> metadata."""
     steps, rows = 0, []
     for dataset_id, metadata in sorted(datasets.items()):
         stated = metadata.get("total_steps")
@@ -119,14 +113,11 @@ def _change_section(dataset_id: str) -> list[str]:
 
 
 def _number_rows(metadata: Mapping[str, Any], returns: Any, lengths: Any) -> list[tuple[str, str]]:
-    mean, spread = (
-        f"{returns.mean():.1f} ± {returns.std():.1f}",
-        f"{returns.min():.1f} to {returns.max():.1f}",
-    )
+    spread = f"{returns.min():.1f} to {returns.max():.1f}"
     rows = [
         ("episodes", f"{len(returns)}"),
         ("steps", f"{lengths.sum():,}"),
-        ("return", f"{mean} ({spread})"),
+        ("return", f"{returns.mean():.1f} ± {returns.std():.1f} ({spread})"),
         ("episode length", f"{lengths.mean():.0f} steps ({lengths.min()} to {lengths.max()})"),
         ("policy", str(metadata.get("algorithm_name", "unknown"))),
     ]
@@ -168,23 +159,20 @@ def _provenance_section(metadata: Mapping[str, Any]) -> str:
 
 def _reproducing_command(metadata: Mapping[str, Any]) -> str:
     """Return the command that makes the dataset again; empty if no single command does."""
+    dataset_id = str(metadata["dataset_id"])
     try:
-        variant, tier = parse_dataset_id(str(metadata["dataset_id"]))
+        _, tier = parse_dataset_id(dataset_id)
     except VariantError:
         combined = sources(metadata)
-        return f"imujoco combine {' '.join(combined)} --id {metadata['dataset_id']}" if combined else ""
-    if metadata.get("author") != [AUTHOR]:
+        return f"imujoco combine {' '.join(combined)} --id {dataset_id}" if combined else ""
+    if metadata.get("author") != [AUTHOR] or tier not in (*TIERS, REPLAY):
         return ""
+    command = making(dataset_id)
     if tier == REPLAY:
-        return making(variant.dataset_id(tier))
-    if tier not in TIERS:
-        return ""
-    command = f"imujoco publish {variant}"
+        return command
     if tier != MEDIUM_REPLAY:
         command += f" --episodes {metadata['total_episodes']}"
     command += f" --seed {metadata.get('seed', 0)}"
-    if tier != EXPERT:
-        command += f" --tier {tier}"
     sampled = tier in (EXPERT_STOCHASTIC, MEDIUM_REPLAY, RANDOM)
     if not sampled and not metadata.get("policy_deterministic", True):
         command += " --stochastic"

@@ -33,7 +33,7 @@ class BucketStore(GCPStorage):  # type: ignore[misc,unused-ignore]
         except NotFound:
             return None
 
-    def registered(self, namespace: str, dataset_id: str) -> bool:
+    def registered(self, dataset_id: str) -> bool:
         """Return True, since Minari lists every dataset of a bucket that has metadata."""
         return True
 
@@ -42,10 +42,9 @@ class BucketStore(GCPStorage):  # type: ignore[misc,unused-ignore]
         folder = dataset_folder(dataset_id)
         return all(self._holds_file(f"{dataset_id}/{name}", folder / name) for name in FILES)
 
-    def upload_dataset(self, dataset_id: str, card: str | None = None) -> None:
+    def upload_dataset(self, dataset_id: str, card: str) -> None:
         """Upload a dataset, its ``metadata.json`` last."""
-        if card is not None:
-            self.upload_card(dataset_id, card)
+        self.upload_card(dataset_id, card)
         for name in FILES:
             file = dataset_folder(dataset_id) / name
             if not self._holds_file(f"{dataset_id}/{name}", file):

@@ -32,15 +32,21 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
 
     shows_cards = True
 
-    def read(self, path: str) -> bytes | None:
-        """Return a file's content at the head of its repository, or None if it does not exist."""
+    def read(self, path: str, revision: str | None = None) -> bytes | None:
+        """Return a file's content, at the head of its repository by default; None if it does not exist."""
         repository, name = self._decompose_path(path)
-        return self._read_revision(repository, name, None)
+        # A temporary folder, because stock Minari's cache may differ from the remote.
+        with tempfile.TemporaryDirectory() as folder:
+            try:
+                return self._download_file(repository, name, revision, Path(folder)).read_bytes()
+            except (RemoteEntryNotFoundError, RepositoryNotFoundError):
+                return None
 
-    def registered(self, namespace: str, dataset_id: str) -> bool:
+    def registered(self, dataset_id: str) -> bool:
         """Return whether the repository's namespace metadata names the dataset."""
-        data = self.read(namespace_file(namespace))
-        return data is not None and dataset_id in registered_ids(data, namespace_file(namespace))
+        name = namespace_file(self._decompose_path(dataset_id)[0])
+        data = self.read(name)
+        return data is not None and dataset_id in registered_ids(data, name)
 
     def holds(self, dataset_id: str) -> bool:
         """Return whether the Hub's digests of a dataset's files equal those of the local files."""
@@ -50,12 +56,11 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
         entries = {entry.path: entry for entry in stated}
         return all(path in entries and _is_equal(file, entries[path]) for path, file in files.items())
 
-    def upload_dataset(self, dataset_id: str, card: str | None = None) -> None:
+    def upload_dataset(self, dataset_id: str, card: str) -> None:
         """Upload a dataset's files and card and register its id, in one commit."""
         repository, folder = self._decompose_path(dataset_id)
         files: dict[str, Any] = {f"{folder}/{name}": dataset_folder(dataset_id) / name for name in FILES}
-        if card is not None:
-            files[f"{folder}/{CARD}"] = card.encode()
+        files[f"{folder}/{CARD}"] = card.encode()
         self._api.create_repo(self._repo_id(repository), repo_type="dataset", exist_ok=True)
         for attempt in range(_ATTEMPTS):
             head = self._api.repo_info(self._repo_id(repository), repo_type="dataset").sha
@@ -84,15 +89,6 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
             except RemoteEntryNotFoundError:
                 raise RemoteError(f"hf://{self.name}: {dataset_id} has no {name}") from None
 
-    def _read_revision(self, repository: str, name: str, revision: str | None) -> bytes | None:
-        # A temporary folder, because stock Minari's cache may differ from the remote.
-        with tempfile.TemporaryDirectory() as folder:
-            try:
-                file = self._download_file(repository, name, revision, Path(folder))
-            except (RemoteEntryNotFoundError, RepositoryNotFoundError):
-                return None
-            return file.read_bytes()
-
     def _download_file(self, repository: str, name: str, revision: str | None, folder: Path) -> Path:
         file = self._api.hf_hub_download(
             repo_id=self._repo_id(repository),
@@ -104,8 +100,8 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
         return Path(file)
 
     def _registry_including(self, repository: str, dataset_id: str, head: str) -> bytes:
-        data = self._read_revision(repository, NAMESPACE_FILE, head)
         name = namespace_file(repository)
+        data = self.read(name, head)
         registry, known = ({}, []) if data is None else (parse_object(data, name), registered_ids(data, name))
         registry["datasets"] = sorted({*known, dataset_id})
         return json.dumps(registry).encode()
@@ -114,10 +110,7 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
         self._api.create_commit(
             repo_id=self._repo_id(repository),
             repo_type="dataset",
-            operations=[
-                CommitOperationAdd(name, content if isinstance(content, bytes) else str(content))
-                for name, content in files.items()
-            ],
+            operations=[CommitOperationAdd(name, content) for name, content in files.items()],
             commit_message=message,
             parent_commit=parent,
         )

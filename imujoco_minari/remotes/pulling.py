@@ -15,42 +15,31 @@ from pathlib import Path
 from typing import Any
 
 from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError
-from imujoco_minari.remotes.connecting import connect
-from imujoco_minari.remotes.stores import Store, metadata, remote_errors
-from imujoco_minari.short_repr import short_repr
+from imujoco_minari.publishing.outcome import DatasetOutcome
+from imujoco_minari.remotes.stores import Store, connect, metadata, remote_errors
 from imujoco_minari.storage import copying, file_format, minari_root, transactions
 from imujoco_minari.storage.metadata import processor, read_metadata, sources
 from imujoco_minari.verification import Finding, inspect
 from imujoco_minari.verification.findings import differs
 
 
-@dataclass(frozen=True)
-class Pulled:
+@dataclass(frozen=True, repr=False)
+class Pulled(DatasetOutcome):
     """The outcome of pulling one dataset.
 
     Attributes:
-        dataset_id: the dataset's id.
         remote: address of the remote.
-        path: folder of the dataset; None if the pull failed.
         downloaded: whether this call downloaded it; False if the root had it already.
         content_sha256: digest of its arrays; empty for a linked collection, which has no arrays.
         same_simulator: whether this machine has the versions that made it, so a replay is exact.
         seconds: wall time.
-        error: why the pull failed; empty on success.
-        missing: whether it failed because something that was asked for does not exist.
     """
 
-    dataset_id: str
-    remote: str
-    path: Path | None = None
+    remote: str = ""
     downloaded: bool = False
     content_sha256: str = field(default="", repr=False)
     same_simulator: bool = True
     seconds: float = 0.0
-    error: str = ""
-    missing: bool = False
-
-    __repr__ = short_repr
 
 
 def pull(dataset_id: str, remote: str, *, token: str | None = None, force: bool = False) -> list[Pulled]:
@@ -82,13 +71,7 @@ def pull(dataset_id: str, remote: str, *, token: str | None = None, force: bool 
 def pull_all(
     dataset_ids: Sequence[str], remote: str, *, token: str | None = None, force: bool = False
 ) -> Iterator[Pulled]:
-    """Download many datasets and yield each outcome when it is ready, failures included.
-
-    Args:
-        dataset_ids: the datasets.
-        remote: as of :func:`pull`.
-        token: as of :func:`pull`.
-        force: replace the datasets of the root that have these ids.
+    """Download many datasets as :func:`pull` does. Yield each outcome when it is ready, failures included.
 
     Raises:
         RemoteError: if the address is malformed or the token is unreadable.
@@ -100,7 +83,7 @@ def pull_all(
         try:
             yield from _pull_with_sources(store, dataset_id, remote, replaceable, done)
         except ImujocoError as error:
-            yield Pulled(dataset_id, remote, error=str(error), missing=error.missing)
+            yield Pulled.failed(dataset_id, error, remote=remote)
 
 
 def _pull_with_sources(
@@ -114,7 +97,7 @@ def _pull_with_sources(
         return
     if transactions.taken(dataset_id) and dataset_id not in replaceable:
         done.add(dataset_id)
-        yield Pulled(dataset_id, remote, minari_root.dataset_folder(dataset_id))
+        yield Pulled(dataset_id, minari_root.dataset_folder(dataset_id), remote=remote)
         return
     with transactions.staging(dataset_id) as folder:
         outcomes = list(_download_and_check(store, dataset_id, remote, replaceable - done, folder, set()))
@@ -151,7 +134,7 @@ def _download_and_check(
         # A linked collection refers to its sources by relative paths.
         staged.parent.mkdir(parents=True, exist_ok=True)
         staged.symlink_to(target.resolve())
-        yield Pulled(dataset_id, remote, target)
+        yield Pulled(dataset_id, target, remote=remote)
         return
     combined = sources(stated)
     for source in combined:
@@ -170,8 +153,15 @@ def _download_and_check(
         copying.check_replaced(
             dataset_id, file_format.main_file(target / "data"), [file_format.main_file(staged / "data")]
         )
-    digest = str(stated.get("content_sha256", ""))
-    yield Pulled(dataset_id, remote, target, True, digest, same, time.monotonic() - start)
+    yield Pulled(
+        dataset_id,
+        target,
+        remote=remote,
+        downloaded=True,
+        content_sha256=str(stated.get("content_sha256", "")),
+        same_simulator=same,
+        seconds=time.monotonic() - start,
+    )
 
 
 def _has_same_simulator(stated: dict[str, Any]) -> bool:

@@ -6,56 +6,47 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
 from imujoco_minari.errors import DatasetError, DatasetExistsError, ImujocoError, RemoteError
+from imujoco_minari.publishing.outcome import DatasetOutcome
 from imujoco_minari.remotes.card import dataset_card, namespace_card
-from imujoco_minari.remotes.connecting import connect
 from imujoco_minari.remotes.stores import (
     FILES,
     METADATA_PATH,
     Store,
+    connect,
     metadata,
     namespace_file,
-    namespaces,
     parse_object,
     remote_errors,
 )
-from imujoco_minari.short_repr import short_repr
-from imujoco_minari.storage import minari_root, transactions
+from imujoco_minari.storage import minari_root
 from imujoco_minari.storage.file_format import file_sha256
-from imujoco_minari.storage.metadata import read_metadata, sources
+from imujoco_minari.storage.metadata import local_collections, read_metadata, sources
 from imujoco_minari.storage.missing import not_in_root
 from imujoco_minari.verification import verify
 
 
-@dataclass(frozen=True)
-class Pushed:
+@dataclass(frozen=True, repr=False)
+class Pushed(DatasetOutcome):
     """The outcome of pushing one dataset.
 
     Attributes:
-        dataset_id: the dataset's id.
         remote: address of the remote.
         uploaded: whether this call uploaded it; False if the remote had the same dataset already.
         bytes: size of its files, in bytes.
         content_sha256: digest of its arrays; empty for a linked collection, which has no arrays.
         seconds: wall time.
-        error: why the push failed; empty on success.
-        missing: whether it failed because something that was asked for does not exist.
     """
 
-    dataset_id: str
-    remote: str
+    remote: str = ""
     uploaded: bool = False
     bytes: int = 0
     content_sha256: str = field(default="", repr=False)
     seconds: float = 0.0
-    error: str = ""
-    missing: bool = False
-
-    __repr__ = short_repr
 
 
 def push(dataset_id: str, remote: str, *, token: str | None = None, force: bool = False) -> list[Pushed]:
@@ -92,13 +83,7 @@ def push(dataset_id: str, remote: str, *, token: str | None = None, force: bool 
 def push_all(
     dataset_ids: Sequence[str], remote: str, *, token: str | None = None, force: bool = False
 ) -> Iterator[Pushed]:
-    """Upload many datasets with their sources and yield each outcome when it is ready, failures included.
-
-    Args:
-        dataset_ids: the datasets.
-        remote: as of :func:`push`.
-        token: as of :func:`push`.
-        force: replace different datasets that have these ids on the remote.
+    """Upload many datasets as :func:`push` does. Yield each outcome when it is ready, failures included.
 
     Raises:
         RemoteError: if the address is malformed, or the token is missing or unreadable.
@@ -109,19 +94,16 @@ def push_all(
 
 def plan_push(dataset_ids: Sequence[str]) -> Iterator[Pushed]:
     """Yield what :func:`push_all` would upload to an empty remote, with the sizes. No remote is asked."""
-    for outcome, _ in _each_part(dataset_ids, "", lambda part: Pushed(part, "", bytes=_size(part))):
+    for outcome, _ in _each_part(
+        dataset_ids, "", lambda part: Pushed(part, minari_root.dataset_folder(part), bytes=_size(part))
+    ):
         yield outcome
 
 
 def collections_of(dataset_ids: Sequence[str]) -> list[str]:
     """Return the ids of the collections in the Minari root that combine no other datasets than these."""
-    root = minari_root.datasets_root()
-    found = []
-    for file in sorted(root.glob(f"**/{METADATA_PATH}")):
-        combined = sources(read_metadata(file.parent))
-        if combined and transactions.STAGING not in file.parts and set(combined) <= set(dataset_ids):
-            found.append(file.parents[1].relative_to(root).as_posix())
-    return found
+    given = set(dataset_ids)
+    return [name for name, metadata in local_collections() if set(sources(metadata)) <= given]
 
 
 def _push_each(
@@ -152,7 +134,7 @@ def _each_part(
                     done.add(part)
                     yield outcome, None
         except ImujocoError as error:
-            yield Pushed(dataset_id, remote, error=str(error), missing=error.missing), error
+            yield Pushed.failed(dataset_id, error, remote=remote), error
 
 
 def _size(dataset_id: str) -> int:
@@ -183,24 +165,24 @@ def _push_one(dataset_id: str, store: Store, remote: str, replaceable: AbstractS
         raise DatasetError(f"{dataset_id}: not pushed, because its check found: {findings[0]}")
     folder = minari_root.dataset_folder(dataset_id)
     ours = read_metadata(folder / "data")
-    size = _size(dataset_id)
-    digest = str(ours.get("content_sha256", ""))
+    content = str(ours.get("content_sha256", ""))
+    pushed = Pushed(dataset_id, folder, remote=remote, bytes=_size(dataset_id), content_sha256=content)
     with remote_errors(remote):
         theirs = metadata(store, dataset_id)
         if theirs == ours and store.holds(dataset_id):
-            return Pushed(dataset_id, remote, False, size, digest, time.monotonic() - start)
+            return replace(pushed, seconds=time.monotonic() - start)
         if theirs is not None and theirs != ours and dataset_id not in replaceable:
-            made, content = theirs.get("code_permalink", "unknown"), str(theirs.get("content_sha256"))[:12]
+            made, other = theirs.get("code_permalink", "unknown"), str(theirs.get("content_sha256"))[:12]
             raise DatasetExistsError(
-                f"{remote} has another {dataset_id}, made with {made} with content {content}; "
+                f"{remote} has another {dataset_id}, made with {made} with content {other}; "
                 f"it was not replaced (`imujoco push {dataset_id} --force` replaces it)"
             )
-        for namespace in namespaces(dataset_id):
+        for namespace in minari_root.namespaces(dataset_id):
             if store.read(namespace_file(namespace)) is None:
                 store.upload_namespace(namespace)
         store.upload_dataset(dataset_id, dataset_card(folder / "data", remote))
         _check_upload(store, dataset_id, folder, remote)
-    return Pushed(dataset_id, remote, True, size, digest, time.monotonic() - start)
+    return replace(pushed, uploaded=True, seconds=time.monotonic() - start)
 
 
 def _check_upload(store: Store, dataset_id: str, folder: Path, remote: str) -> None:
@@ -219,7 +201,7 @@ def _update_cards(store: Store, remote: str, dataset_ids: Sequence[str]) -> None
     """Update the cards of the outermost namespaces, if the remote shows cards."""
     if not store.shows_cards:
         return
-    for namespace in dict.fromkeys(namespaces(dataset_id)[0] for dataset_id in dataset_ids):
+    for namespace in dict.fromkeys(dataset_id.partition("/")[0] for dataset_id in dataset_ids):
         with remote_errors(remote):
             listed = sorted(store.list_datasets(prefix=f"{namespace}/"))
             files = {name: store.read(f"{name}/{METADATA_PATH}") for name in listed}

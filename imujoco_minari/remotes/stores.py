@@ -1,18 +1,20 @@
-"""The interface of a remote for push and pull, and the translation of its errors.
+"""A remote for push and pull: from its address to its store, the store's interface, and its errors.
 
-A store is Minari's own ``CloudStorage`` with a different upload and download, so that a remote shows
-complete datasets only.
+Addresses are Minari's: ``hf://user`` and ``gcp://bucket``. A store is Minari's own ``CloudStorage`` with a
+different upload and download, so that a remote shows complete datasets only.
 """
 
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol
 
-from imujoco_minari.errors import ImujocoError, RemoteError
+from imujoco_minari.errors import ImujocoError, RemoteError, missing_dependency
 from imujoco_minari.storage.file_format import MAIN_FILE
 from imujoco_minari.storage.metadata import METADATA_FILE
 from imujoco_minari.storage.transactions import NAMESPACE_FILE
@@ -21,6 +23,10 @@ METADATA_PATH = f"data/{METADATA_FILE}"
 # The files of a dataset in the order of writing. Minari lists folders that have a metadata.json.
 FILES = (f"data/{MAIN_FILE}", METADATA_PATH)
 CARD = "README.md"
+
+# Kind of an address -> our module, and the package that it needs.
+_MODULES = {"hf": ("huggingface", "huggingface_hub"), "gcp": ("gcp", "google-cloud-storage")}
+_ADDRESS = re.compile(r"(?P<kind>hf|gcp)://(?P<name>[A-Za-z0-9][-\w.]{0,221})", re.ASCII)
 
 
 class Store(Protocol):
@@ -32,7 +38,7 @@ class Store(Protocol):
     def read(self, path: str) -> bytes | None:
         """Return the present content of a small file, or None if it does not exist."""
 
-    def registered(self, namespace: str, dataset_id: str) -> bool:
+    def registered(self, dataset_id: str) -> bool:
         """Return whether stock Minari lists a dataset that has metadata on the remote."""
 
     def holds(self, dataset_id: str) -> bool:
@@ -41,7 +47,7 @@ class Store(Protocol):
     def upload_namespace(self, namespace: str) -> None:
         """Upload the metadata of a namespace of the root that the remote lacks."""
 
-    def upload_dataset(self, dataset_id: str, card: str | None = None) -> None:
+    def upload_dataset(self, dataset_id: str, card: str) -> None:
         """Upload a dataset of the root with its card; it becomes visible when it is complete."""
 
     def upload_card(self, namespace: str, card: str) -> None:
@@ -54,9 +60,45 @@ class Store(Protocol):
         """Yield the ids of the datasets that stock Minari lists."""
 
 
+def connect(address: str, *, token: str | None = None, writing: bool = False) -> Store:
+    """Return the store at ``address``.
+
+    Args:
+        address: ``hf://user`` (or an organisation) or ``gcp://bucket``.
+        token: a Hugging Face token, or for ``gcp`` the path of a service account's key file. None reads
+            the places that the remote's own tools use.
+        writing: require a token now, because something will be uploaded.
+
+    Raises:
+        RemoteError: if the address is malformed, or a token is missing or unreadable.
+        DependencyError: if the remote's package is not installed.
+    """
+    kind, name = parse_address(address)
+    module, package = _MODULES[kind]
+    try:
+        connect_store = import_module(f"imujoco_minari.remotes.{module}").connect
+    except ImportError as error:
+        raise missing_dependency(package, "remote", f"the remote {address}") from error
+    with remote_errors(address):
+        store: Store = connect_store(name, token, writing)
+    return store
+
+
+def parse_address(address: str) -> tuple[str, str]:
+    """Return the kind of a remote, ``hf`` or ``gcp``, and the name of its user or bucket.
+
+    Raises:
+        RemoteError: if the address is malformed.
+    """
+    match = _ADDRESS.fullmatch(address)
+    if match is None:
+        raise RemoteError(f"malformed remote {address[:80]!r}; valid: hf://<user> or gcp://<bucket>")
+    return match["kind"], match["name"]
+
+
 def metadata(store: Store, dataset_id: str) -> dict[str, Any] | None:
     """Return the metadata of a dataset, or None if stock Minari does not list it."""
-    if not store.registered(dataset_id.partition("/")[0], dataset_id):
+    if not store.registered(dataset_id):
         return None
     data = store.read(f"{dataset_id}/{METADATA_PATH}")
     return None if data is None else parse_object(data, f"{dataset_id}/{METADATA_PATH}")
@@ -87,12 +129,6 @@ def registered_ids(data: bytes, name: str) -> list[str]:
     if not isinstance(ids, list) or not all(isinstance(each, str) for each in ids):
         raise RemoteError(f"{name} on the remote is damaged: its datasets are not a list of ids")
     return ids
-
-
-def namespaces(dataset_id: str) -> list[str]:
-    """Return the namespaces that contain a dataset, the outermost first."""
-    parts = dataset_id.split("/")[:-1]
-    return ["/".join(parts[: depth + 1]) for depth in range(len(parts))]
 
 
 def namespace_file(namespace: str) -> str:

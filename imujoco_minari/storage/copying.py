@@ -24,13 +24,10 @@ _DIGEST = file_format.DIGEST.encode()
 
 
 def copy_episodes(source: LinkedFiles, episodes: Sequence[int], target: h5py.File, origin: str) -> None:
-    """Append episodes to a file, with all their attributes. Episodes without digests get them.
+    """Append the episodes with these numbers to a file, with all their attributes.
 
-    Args:
-        source: the dataset to copy from.
-        episodes: numbers of the episodes to copy.
-        target: the file to append to. Each episode gets its new number as ``id``.
-        origin: the ``source`` attribute of episodes that have none, a dataset id.
+    Each gets its new number as ``id``. If it has no ``source``, that is the dataset id ``origin``. If it has
+    no digests, it gets them.
 
     Raises:
         KeyError: if an episode is missing.
@@ -70,12 +67,9 @@ def link_episodes(source: LinkedFiles, episodes: Sequence[int], target: h5py.Fil
 
 
 def check_replaced(dataset_id: str, replaced: Path, files: Iterable[Path]) -> None:
-    """Raise a DatasetError if a dataset would replace a file that it links to, also through other links.
+    """Raise a DatasetError if a dataset links to the file that it replaces, also through other links.
 
-    Args:
-        dataset_id: the dataset's id.
-        replaced: the HDF5 file that the dataset replaces.
-        files: the HDF5 files that the dataset links to.
+    ``files`` are the HDF5 files that the dataset links to.
     """
     lost, seen, waiting = os.path.realpath(replaced), set[str](), list(files)
     while waiting:

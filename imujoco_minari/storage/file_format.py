@@ -39,11 +39,18 @@ IDENTITY = ("variant", "robot", "category", "body", "percent", "tier")
 RANGES = ("ranges", "distribution")
 
 
-def attributes(variant: Variant, tier: str) -> dict[str, Any]:
-    """Return the attributes that the file and every episode group of a dataset have.
+def attributes(variant: Variant | Ranges, tier: str) -> dict[str, Any]:
+    """Return the attributes of a dataset's file. If they name one variant, every episode has them too.
 
     A variant with several changes has ``changes`` too: a JSON object, parameter -> percent.
     """
+    if isinstance(variant, Ranges):
+        return {
+            "robot": variant.robot,
+            "tier": tier,
+            "ranges": json.dumps(variant.ranges),
+            "distribution": variant.distribution,
+        }
     several = {"changes": json.dumps(percents(variant))} if len(variant.changes) > 1 else {}
     return {
         "variant": str(variant),
@@ -53,16 +60,6 @@ def attributes(variant: Variant, tier: str) -> dict[str, Any]:
         "percent": variant.percent,
         "tier": tier,
         **several,
-    }
-
-
-def ranges_attributes(ranges: Ranges, tier: str) -> dict[str, Any]:
-    """Return the attributes of the file of a dataset whose episodes draw their variants from ranges."""
-    return {
-        "robot": ranges.robot,
-        "tier": tier,
-        "ranges": json.dumps(ranges.ranges),
-        "distribution": ranges.distribution,
     }
 
 

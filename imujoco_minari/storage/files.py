@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from imujoco_minari.errors import StorageError
+from imujoco_minari.errors import ImujocoError, StorageError
 
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 # Errors of a system or a file system that does not support a call.
@@ -29,16 +29,25 @@ def whole_file(path: Path) -> Iterator[Path]:
     # The suffix stays, because some writers choose the format by it.
     partial = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield partial
-        partial.replace(path)
-    except OSError as error:
-        if isinstance(error, StorageError):
-            raise
-        raise StorageError(f"cannot write {path}: {error.strerror or error}") from None
+        with writing_errors(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            yield partial
+            partial.replace(path)
     finally:
         with suppress(OSError):
             partial.unlink()
+
+
+@contextmanager
+def writing_errors(path: Path) -> Iterator[None]:
+    """Turn errors of files into a StorageError that says that ``path`` cannot be written."""
+    try:
+        yield
+    except OSError as error:
+        # Errors of this package are OSErrors too, and their messages say more.
+        if isinstance(error, ImujocoError):
+            raise
+        raise StorageError(f"cannot write {path}: {error.strerror or error}") from None
 
 
 def write_text(path: Path, text: str) -> None:

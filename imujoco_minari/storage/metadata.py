@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import os
 import platform
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from imujoco_minari.errors import CatalogueError
-from imujoco_minari.storage import file_format
+from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.variants import adopt_page
 
 METADATA_FILE = "metadata.json"
@@ -29,12 +29,9 @@ AUTHOR = "imujoco_minari"
 
 
 def read_metadata(data: Path) -> dict[str, Any]:
-    """Return the content of ``metadata.json``; empty if it is not a JSON object of at most 16 MiB.
+    """Return the content of a dataset's ``metadata.json``; empty if it is no JSON object of at most 16 MiB.
 
     A dataset of a user's robot stores the robot's page. This makes the robot known, unless the page is wrong.
-
-    Args:
-        data: the dataset's ``data`` folder.
     """
     path = data / METADATA_FILE
     try:
@@ -72,6 +69,16 @@ def sources(metadata: Mapping[str, Any]) -> list[str]:
     return texts(metadata, "combined_datasets")
 
 
+def local_collections() -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield the id and the metadata of each collection in the Minari root."""
+    root = minari_root.datasets_root()
+    # The folder of staged datasets begins with a dot.
+    for data in sorted(root.glob("[!.]*/**/data")):
+        metadata = read_metadata(data)
+        if sources(metadata):
+            yield data.parent.relative_to(root).as_posix(), metadata
+
+
 def requirements(versions: Mapping[str, str]) -> list[str]:
     """Return the requirements that the versions of a dataset's packages give."""
     return [f"{name}=={versions[name]}" for name in ("mujoco", "gymnasium")]
@@ -87,11 +94,7 @@ def provenance(
 ) -> dict[str, Any]:
     """Return the metadata about the authors, the code and the versions that made a dataset.
 
-    Args:
-        authors: names of the authors.
-        code: address of the code that made the episodes; None for this package.
-        algorithm: name of the algorithm that trained the policy.
-        description: one or two sentences about the dataset.
+    ``code`` is the address of the code that made the episodes; None for this package.
     """
     versions = {name: version(name) for name in PACKAGES}
     return {

@@ -16,7 +16,6 @@ from imujoco_minari.variants.ids import EXPERT, Variant, split_name
 _DATASET_ID = re.compile(r"(?:[A-Za-z0-9_][-\w]*/)+[A-Za-z0-9_][-\w]*-v[0-9]{1,6}", re.ASCII)
 # A file system allows 255 bytes in a name.
 _MAX_ID = 200
-_HDF5_REASON = re.compile(r"error message = '([^']{1,200})'")
 
 
 def datasets_root() -> Path:
@@ -62,6 +61,12 @@ def dataset_folder(dataset_id: str) -> Path:
     return datasets_root() / dataset_id
 
 
+def namespaces(dataset_id: str) -> list[str]:
+    """Return the namespaces that contain a dataset, the outermost first."""
+    parts = dataset_id.split("/")
+    return ["/".join(parts[:depth]) for depth in range(1, len(parts))]
+
+
 def _with_namespace(name: object) -> str:
     """Return the dataset id that was probably meant, if this is the id of a variant."""
     try:
@@ -91,20 +96,11 @@ def storage_errors(place: Path | None = None) -> Iterator[None]:
     """Turn errors of files into a StorageError that names the file, or else ``place``."""
     try:
         yield
-    except (OSError, RuntimeError) as error:
+    except OSError as error:
         if isinstance(error, ImujocoError):
             raise
-        if isinstance(error, OSError):
-            file, reason = error.filename, error.strerror or str(error)
-        else:
-            # HDF5 failed to write while closing a file. h5py reports it without an error number.
-            file, match = None, _HDF5_REASON.search(str(error))
-            if match is None:
-                raise
-            reason = match[1]
-        raise StorageError(
-            f"cannot use the Minari root, at {file or place or datasets_root()}: {reason}"
-        ) from None
+        place = error.filename or place or datasets_root()
+        raise StorageError(f"cannot use the Minari root, at {place}: {error.strerror or error}") from None
 
 
 def check_place(target: Path) -> None:

@@ -16,7 +16,7 @@ import h5py
 
 from imujoco_minari.errors import DatasetExistsError, StorageError
 from imujoco_minari.storage import transactions
-from imujoco_minari.storage.files import exchange
+from imujoco_minari.storage.files import exchange, writing_errors
 from imujoco_minari.storage.quiet_file import writing
 
 _PREFIX = ".imujoco-export-"
@@ -38,7 +38,7 @@ def new_target(target: Path, *, force: bool = False) -> Iterator[Path]:
         StorageError: if ``target`` cannot be written, or is a folder that the file system cannot replace in
             one step.
     """
-    try:
+    with writing_errors(target):
         target.parent.mkdir(parents=True, exist_ok=True)
         # First, because this removes what a killed export left, also beside a target that it completed.
         with transactions.scratch(target.parent, _PREFIX) as staging:
@@ -52,11 +52,6 @@ def new_target(target: Path, *, force: bool = False) -> Iterator[Path]:
             yield staging / target.name
             _write_mark(staging / target.name)
             _move_into_place(staging / target.name, target)
-    except OSError as error:
-        # Errors of this package are OSErrors too, and their messages say more.
-        if type(error).__module__ != OSError.__module__:
-            raise
-        raise StorageError(f"cannot write {target}: {error.strerror or error}") from None
 
 
 def _write_mark(new: Path) -> None:

@@ -29,6 +29,7 @@ from imujoco_minari.storage.minari_root import (
     dataset_folder,
     datasets_root,
     exists,
+    namespaces,
     storage_errors,
 )
 
@@ -59,7 +60,6 @@ def staging(*dataset_ids: str) -> Iterator[Path]:
     """
     root = datasets_root() / STAGING
     with storage_errors(root.parent):
-        _make_staging_root(root)
         for dataset_id in dataset_ids:
             check_place(dataset_folder(dataset_id))
         try:
@@ -70,21 +70,11 @@ def staging(*dataset_ids: str) -> Iterator[Path]:
                 root.rmdir()
 
 
-def _make_staging_root(root: Path) -> None:
-    """Make the folder that contains all staging folders. Every user of a shared root may write to it."""
-    root.mkdir(parents=True, exist_ok=True)
-    with suppress(OSError):
-        # The mode of /tmp: users can remove only their own folders. A folder of another user keeps its mode.
-        root.chmod(0o1777)
-
-
 @contextmanager
 def scratch(parent: Path, prefix: str = "") -> Iterator[Path]:
     """Make a locked folder in ``parent`` and remove it at the end. First remove those of dead processes.
 
-    Args:
-        parent: a folder on the file system of the later rename.
-        prefix: prefix of the folder's name. Only leftovers with this prefix are removed.
+    The names of all these folders begin with ``prefix``.
     """
     _remove_leftovers(parent, prefix)
     folder, lock = _make_locked_folder(parent, prefix)
@@ -97,9 +87,12 @@ def scratch(parent: Path, prefix: str = "") -> Iterator[Path]:
 def _make_locked_folder(root: Path, prefix: str) -> tuple[Path, int]:
     """Make a folder in ``root`` and lock it. Return the folder and the descriptor of its lock."""
     while True:
-        if root.name == STAGING:
-            _make_staging_root(root)
         root.mkdir(parents=True, exist_ok=True)
+        if root.name == STAGING:
+            # Every user of a shared root may stage. This is the mode of /tmp: users can remove only their own
+            # folders. A folder of another user keeps its mode.
+            with suppress(OSError):
+                root.chmod(0o1777)
         # Between two of these calls another process may remove a folder that is not locked yet.
         with suppress(FileNotFoundError, BlockingIOError):
             folder = Path(tempfile.mkdtemp(dir=root, prefix=prefix))
@@ -173,7 +166,7 @@ def commit(staged: Path, dataset_id: str, *, replace: bool = False) -> Path:
     with storage_errors(target):
         check_place(target)
         sync_tree(staged)
-        make_namespace(dataset_id.rpartition("/")[0])
+        _make_namespaces(dataset_id)
         try:
             rename_new(staged, target)
         except FileExistsError:
@@ -204,15 +197,13 @@ def remove(dataset_id: str) -> None:
         sync_folder(folder.parent)
 
 
-def make_namespace(namespace: str) -> None:
-    """Make a Minari namespace and its parents. Existing namespaces are not changed.
+def _make_namespaces(dataset_id: str) -> None:
+    """Make the Minari namespaces of a dataset. Existing namespaces are not changed.
 
     Minari's own ``create_namespace`` writes the file in place, so another process may read half of it.
     """
-    root = datasets_root()
-    parts = namespace.split("/")
-    for depth in range(1, len(parts) + 1):
-        folder = root.joinpath(*parts[:depth])
+    for namespace in namespaces(dataset_id):
+        folder = datasets_root() / namespace
         folder.mkdir(parents=True, exist_ok=True)
         if (folder / NAMESPACE_FILE).exists():
             continue

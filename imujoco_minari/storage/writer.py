@@ -1,129 +1,91 @@
 """Writes complete episodes to a Minari HDF5 file: arrays, attributes and digests in one pass.
 
 The stock storage opens the file, converts lists and rewrites ``metadata.json`` at every episode. That takes
-9 ms for an episode whose physics take 25 ms, and its chunked arrays are scattered over the file. This storage
-keeps the file open, writes contiguous arrays, and writes the metadata when it is requested.
+9 ms for an episode whose physics take 25 ms, and its chunked arrays are scattered over the file. This writer
+keeps the file open and writes contiguous arrays.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import h5py
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from h5py import h5a, h5d, h5g, h5s, h5t
 from minari.data_collector import EpisodeBuffer
 from minari.data_collector.callbacks import EpisodeMetadataCallback
-from minari.dataset._storages.hdf5_storage import HDF5Storage, flatten_dict
 from minari.dataset.minari_storage import MinariStorage
-from numpy.typing import NDArray
 
 from imujoco_minari.storage import file_format
 from imujoco_minari.storage.quiet_file import safe_point, writing
+
+# Seed of an episode -> its attributes.
+Attributes = Callable[[Any], Mapping[str, Any]]
 
 _SCALAR = h5s.create(h5s.SCALAR)
 _TEXT = h5py.string_dtype()
 _TEXT_TYPE = h5t.py_create(_TEXT, logical=True)
 
 
-class EpisodeStorage(HDF5Storage):  # type: ignore[misc]
-    """Minari's HDF5 storage, with a fast path for episodes of plain arrays, which get digests.
+class EpisodeWriter(ExitStack):
+    """Writes episodes of plain arrays, without infos, to a new Minari storage, in the order of their numbers.
 
-    Episodes that have numbers are written in the order of their numbers.
+    The file is complete at the end of the ``with`` block. Its metadata state no totals yet.
 
-    Attributes:
+    Args:
+        folder: the new folder of the storage. Its parent must exist.
+        spec: specification of the environment that the episodes are of.
         attributes: returns the attributes of the episode with a seed, in addition to Minari's own.
     """
 
-    attributes: Callable[[Any], Mapping[str, Any]]
-
-    _file: h5py.File | None = None
-    _episodes: int
-    _steps: int
-
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        self._open = ExitStack()
+    def __init__(self, folder: Path, spec: EnvSpec, attributes: Attributes = lambda seed: {}) -> None:
+        super().__init__()
+        storage = MinariStorage.new(folder, env_spec=spec)
+        self.observation_space, self.action_space = storage.observation_space, storage.action_space
+        self._path, self._attributes = file_format.main_file(folder), attributes
+        self._file: h5py.File | None = None
         self._waiting: dict[int, EpisodeBuffer] = {}
+        self._written = 0
 
-    def update_episodes(self, episodes: Iterable[EpisodeBuffer]) -> None:
-        """Append new episodes whose observations and actions are plain arrays, without infos."""
+    def add(self, episode: EpisodeBuffer) -> None:
+        """Write an episode when all with smaller numbers are written. One without a number is the next."""
         if self._file is None:
-            metadata = super().metadata
-            self._episodes, self._steps = metadata["total_episodes"], metadata["total_steps"]
-            self._file = self._open.enter_context(writing(self._file_path))
-        for buffer in episodes:
-            self._waiting[self._episodes if buffer.id is None else buffer.id] = buffer
-            while self._episodes in self._waiting:
-                self._write_next(self._waiting.pop(self._episodes))
+            self._file = self.enter_context(writing(self._path))
+        self._waiting[self._written if episode.id is None else episode.id] = episode
+        while self._written in self._waiting:
+            self._write_next(self._file, self._waiting.pop(self._written))
+            self._written += 1
 
-    def _write_next(self, buffer: EpisodeBuffer) -> None:
+    def _write_next(self, file: h5py.File, episode: EpisodeBuffer) -> None:
+        """Write the group of an episode: its arrays, its attributes and its digests.
+
+        h5py's high-level interface takes four times as long to write something as small as an attribute.
+        """
         safe_point()
-        arrays = {key: np.asarray(getattr(buffer, key)) for key in file_format.ARRAYS}
-        length = len(arrays["rewards"])
-        attributes = {"id": self._episodes, "total_steps": length, **self.attributes(buffer.seed)}
-        if buffer.seed is not None:
-            attributes["seed"] = buffer.seed
-        attributes |= flatten_dict(buffer.options or {}, "options") | EpisodeMetadataCallback()(arrays)
-        write_episode(self._file, file_format.episode_name(self._episodes), arrays, attributes)
-        self._episodes += 1
-        self._steps += length
-
-    @property
-    def metadata(self) -> dict[str, Any]:
-        """The metadata of the storage. Reading it first writes pending episodes to the disk."""
-        self.flush()
-        metadata: dict[str, Any] = super().metadata
-        return metadata
-
-    def flush(self) -> None:
-        """Write pending episodes to the disk and close the file."""
-        if self._file is not None:
-            self._file = None
-            self._open.close()
-            self.update_metadata(
-                {
-                    "total_episodes": self._episodes,
-                    "total_steps": self._steps,
-                    "dataset_size": self.get_size(),
-                }
-            )
-
-
-def new_storage(folder: Path, env: gym.Env[Any, Any], attributes: Mapping[str, Any]) -> EpisodeStorage:
-    """Make an empty storage in a new folder for the episodes of an environment, all with these attributes."""
-    stock = MinariStorage.new(folder, env.observation_space, env.action_space, env.spec)
-    storage = EpisodeStorage(folder, stock.observation_space, stock.action_space)
-    storage.attributes = lambda seed: attributes
-    return storage
-
-
-def write_episode(
-    file: h5py.File, name: str, arrays: Mapping[str, NDArray[Any]], attributes: Mapping[str, Any]
-) -> None:
-    """Write an episode group with its arrays, its attributes and its digests.
-
-    h5py's high-level interface takes four times as long to write something as small as an attribute.
-    """
-    group = h5g.create(file.id, name.encode())
-    # Minari prints the keys of an episode's infos, and fails if there is no group.
-    h5g.create(group, file_format.INFOS.encode())
-    digests = {}
-    for key, array in arrays.items():
-        array = np.ascontiguousarray(array)
-        dataset = h5d.create(
-            group, key.encode(), h5t.py_create(array.dtype, logical=True), h5s.create_simple(array.shape)
-        )
-        dataset.write(h5s.ALL, h5s.ALL, array)
-        digests[key] = file_format.array_sha256(array)
-        write_attribute(dataset, file_format.DIGEST, digests[key])
-    for key, value in attributes.items():
-        write_attribute(group, key, value)
-    write_attribute(group, file_format.DIGEST, file_format.episode_sha256(digests))
+        group = h5g.create(file.id, file_format.episode_name(self._written).encode())
+        # Minari prints the keys of an episode's infos, and fails if there is no group.
+        h5g.create(group, file_format.INFOS.encode())
+        arrays = {key: np.ascontiguousarray(getattr(episode, key)) for key in file_format.ARRAYS}
+        digests = {key: file_format.array_sha256(array) for key, array in arrays.items()}
+        for key, array in arrays.items():
+            kind, space = h5t.py_create(array.dtype, logical=True), h5s.create_simple(array.shape)
+            dataset = h5d.create(group, key.encode(), kind, space)
+            dataset.write(h5s.ALL, h5s.ALL, array)
+            write_attribute(dataset, file_format.DIGEST, digests[key])
+        attributes = {
+            "id": self._written,
+            "total_steps": len(arrays["rewards"]),
+            **self._attributes(episode.seed),
+            **({} if episode.seed is None else {"seed": episode.seed}),
+            **EpisodeMetadataCallback()(arrays),
+            file_format.DIGEST: file_format.episode_sha256(digests),
+        }
+        for key, value in attributes.items():
+            write_attribute(group, key, value)
 
 
 def write_attribute(owner: Any, name: str, value: Any) -> None:

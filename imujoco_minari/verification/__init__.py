@@ -7,9 +7,9 @@ the processor architecture that made the dataset; another version is itself a fi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from itertools import pairwise
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -25,16 +25,15 @@ from imujoco_minari.verification import child_process
 from imujoco_minari.verification.check import check, unreadable
 from imujoco_minari.verification.findings import MAX_FINDINGS, Finding, Findings, differs
 from imujoco_minari.verification.identity import dataset_models
-from imujoco_minari.verification.modes import actions
 from imujoco_minari.verification.published import compare_with_published, published_entry
-from imujoco_minari.verification.replay import replay
+from imujoco_minari.verification.replay import actions, replay
 
 __all__ = ["Finding", "Findings", "inspect", "verify"]
 
 # How often a dataset is checked if other processes replace it during the check.
 _ATTEMPTS = 3
 
-_OnEpisode = Callable[[], None] | None
+_OnEpisode = Callable[[], None]
 
 
 def verify(
@@ -44,7 +43,7 @@ def verify(
     published: bool = False,
     jobs: int = 1,
     backend: str | None = None,
-    on_episode: _OnEpisode = None,
+    on_episode: _OnEpisode = lambda: None,
 ) -> Findings:
     """Check a dataset of the Minari root and return what is wrong with it; an empty list means "sound".
 
@@ -115,7 +114,7 @@ def inspect(data: Path, *, replay_episodes: int | None = None, untrusted: bool =
 
 
 def _replayed(
-    data: Path, metadata: Mapping[str, Any], numbers: range, on_episode: _OnEpisode = None
+    data: Path, metadata: Mapping[str, Any], numbers: Sequence[int], on_episode: _OnEpisode = lambda: None
 ) -> list[Finding]:
     """Replay the numbered episodes of a dataset that was checked; return what differs.
 
@@ -126,10 +125,7 @@ def _replayed(
         with h5py.File(file_format.main_file(data), "r") as file:
             if 0 in numbers:
                 findings += actions(file, metadata)
-            for finding in replay(file, numbers, dataset_models(metadata), on_episode):
-                findings.append(finding)
-                if len(findings) >= MAX_FINDINGS:
-                    break
+            findings += islice(replay(file, numbers, dataset_models(metadata), on_episode), MAX_FINDINGS)
     except Exception as error:  # h5py and the simulator may raise anything on a damaged file
         findings.append(unreadable(data, error))
     return findings
@@ -144,8 +140,7 @@ def _replayed_by_jobs(
         return _replayed(data, metadata, range(episodes), on_episode)
     # Several shares a job, so that none waits long for another at the end.
     count = min(episodes, 4 * max(jobs, 2) if backend is None else 256)
-    bounds = [round(bound) for bound in np.linspace(0, episodes, count + 1)]
-    shares = [range(start, stop) for start, stop in pairwise(bounds)]
+    shares = [share.tolist() for share in np.array_split(np.arange(episodes), count)]
     found: dict[int, list[Finding]] = {}
     work = partial(_replayed, data.absolute(), metadata)
     for number, findings in run_jobs(work, shares, jobs=jobs, backend=backend):
@@ -155,6 +150,5 @@ def _replayed_by_jobs(
             findings = [Finding(f"{first} to {last}", f"could not be replayed: {findings}")]
         found[number] = findings
         for _ in share:
-            if on_episode is not None:
-                on_episode()
+            on_episode()
     return [finding for number in sorted(found) for finding in found[number]]

@@ -18,7 +18,7 @@ import numpy as np
 from imujoco_minari.errors import DatasetError
 from imujoco_minari.storage import containment, file_format
 from imujoco_minari.storage.containment import LinkedFiles
-from imujoco_minari.verification.findings import Finding, shown
+from imujoco_minari.verification.findings import shown
 
 # An episode of 1000 steps of these robots has arrays of 136 kB at most.
 MAX_ARRAY_BYTES = 2**26
@@ -31,11 +31,7 @@ _TEXT = h5py.string_dtype()
 
 
 class UnreadableError(Exception):
-    """Something in a file must not be read; the finding says what and why."""
-
-    def __init__(self, where: str, what: str) -> None:
-        super().__init__(where, what)
-        self.finding = Finding(where, what)
+    """Something in a file must not be read; the arguments are those of a finding."""
 
 
 @dataclass(frozen=True)

@@ -21,12 +21,7 @@ from imujoco_minari.verification.findings import MAX_FINDINGS, Finding, Findings
 
 
 def check(data: Path, metadata: Mapping[str, Any]) -> Findings:
-    """Check everything of the Minari storage in the folder ``data`` except the replay of its episodes.
-
-    Args:
-        data: the folder with ``main_data.hdf5`` and ``metadata.json``.
-        metadata: the content of ``metadata.json``.
-    """
+    """Check everything of the Minari storage in the folder ``data`` except the replay of its episodes."""
     return merge(data, metadata, [check_part(data, metadata)])
 
 
@@ -36,7 +31,7 @@ def check_part(data: Path, metadata: Mapping[str, Any], number: int = 0, count: 
     try:
         _check(part, data, metadata, number, count)
     except bounded_read.UnreadableError as error:
-        part.findings.append(error.finding)
+        part.findings.append(Finding(*error.args))
         part.readable = False
     except Exception as error:  # h5py raises any kind of error on a damaged file
         part.findings.append(unreadable(data, error))

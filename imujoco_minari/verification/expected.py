@@ -194,7 +194,7 @@ def _randomised_identity(metadata: Mapping[str, Any], content: Content) -> dict[
         ranges = file_format.stated_ranges(metadata)
     except (ImujocoError, ValueError, TypeError, AttributeError):
         return {"ranges": "ranges of parameters of a robot, and their distribution"}
-    attributes = file_format.ranges_attributes(ranges, tier)
+    attributes = file_format.attributes(ranges, tier)
     nothing: dict[str, Any] = dict.fromkeys(file_format.IDENTITY)
     stated = str(metadata.get("dataset_id"))
     name = stated.removeprefix(f"{NAMESPACE}/{ranges.robot}-").removesuffix("-v0").removesuffix(f"-{tier}")

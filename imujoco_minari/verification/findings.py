@@ -58,13 +58,10 @@ def differs(where: str, value: Any, valid: str) -> Finding:
 def differing(
     place: str, stated: Mapping[str, Any], expected: Mapping[str, Any], reason: str = ""
 ) -> Iterator[Finding]:
-    """Report the keys whose values are not as expected.
+    """Report the keys whose values are not as expected. A missing value counts as None.
 
-    Args:
-        place: what the keys belong to, as in ``metadata.json/`` or ``episode_0@``.
-        stated: values that may be anything, or lack keys. A missing value counts as None.
-        expected: the values that they must have.
-        reason: words that follow the expected value.
+    ``place`` is what the keys belong to, as in ``metadata.json/`` or ``episode_0@``. ``reason`` follows the
+    expected value in the message.
     """
     for key, value in expected.items():
         if not same(stated.get(key), value):

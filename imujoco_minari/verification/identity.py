@@ -201,7 +201,7 @@ def _root(root: Mapping[str, Any], metadata: Mapping[str, Any]) -> Iterator[Find
     try:
         if expected.is_randomised(metadata):
             ranges = file_format.stated_ranges(metadata)
-            variant, named = ranges.base, file_format.ranges_attributes(ranges, tier)
+            variant, named = ranges.base, file_format.attributes(ranges, tier)
         else:
             variant = variant_of(root)
             named = file_format.attributes(variant, tier)

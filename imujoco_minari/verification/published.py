@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from imujoco_minari.errors import DatasetError, NotFoundError, VariantError
+from imujoco_minari.errors import DatasetError, NotFoundError, VariantError, listed
 from imujoco_minari.policies.experts import expert_record, shipped_folder
 from imujoco_minari.storage import minari_root
 from imujoco_minari.storage.metadata import read_metadata
@@ -47,9 +47,9 @@ def published_entry(dataset_id: str) -> dict[str, Any]:
     datasets: dict[str, dict[str, Any]] = _content()["datasets"]
     found = datasets.get(dataset_id)
     if found is None or not _by_shipped_expert(dataset_id, found):
-        names = ", ".join(sorted(datasets)[:3])
-        more = f" and {len(datasets) - 3} more" if len(datasets) > 3 else ""
-        raise NotFoundError(f"this version lists no digest of {dataset_id}; listed: {names}{more}")
+        raise NotFoundError(
+            f"this version lists no digest of {dataset_id}; listed: {listed(sorted(datasets))}"
+        )
     return found
 
 

@@ -16,7 +16,6 @@ from typing import Any
 import gymnasium as gym
 import h5py
 import minari
-from minari.dataset.minari_storage import MinariStorage
 
 from imujoco_minari.envs.registration import environment_spec, make
 from imujoco_minari.policies import Actor, expert_actor
@@ -77,7 +76,8 @@ def collection_row(robot: str, rounds: int, steps: int) -> Row:
 def _collect(variant: Variant, actor: Actor, episodes: int, target: Path) -> int:
     shutil.rmtree(target, ignore_errors=True)
     collect(environment_spec(variant), actor, range(episodes), 0, target)
-    return int(MinariStorage.read(target).total_steps)
+    with h5py.File(file_format.main_file(target)) as file:
+        return sum(int(episode.attrs["total_steps"]) for episode in file.values())
 
 
 def _collect_stock(environment: str, model: Any, episodes: int) -> None:

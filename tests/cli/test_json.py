@@ -98,10 +98,11 @@ def prepared(small_datasets: list[str], tmp_path: Path, monkeypatch: pytest.Monk
     save_file(dict(random_actor().weights), folder / "mine.safetensors")
     monkeypatch.setattr("imujoco_minari.policies.references.EPISODES", 1)
     monkeypatch.setattr(
-        "imujoco_minari.remotes.push_all", lambda ids, remote, **_: iter([Pushed(ids[0], remote, True)])
+        "imujoco_minari.remotes.push_all",
+        lambda ids, remote, **_: iter([Pushed(ids[0], remote=remote, uploaded=True)]),
     )
     monkeypatch.setattr(
-        "imujoco_minari.remotes.pull_all", lambda ids, remote, **_: iter([Pulled(ids[0], remote)])
+        "imujoco_minari.remotes.pull_all", lambda ids, remote, **_: iter([Pulled(ids[0], remote=remote)])
     )
     monkeypatch.setattr(builder, "build", lambda folder, *_, **__: builder.Built(folder, 1, 1, {}))
     monkeypatch.setattr(

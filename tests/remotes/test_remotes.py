@@ -24,7 +24,7 @@ from imujoco_minari.errors import (
 )
 from imujoco_minari.publishing.combiner import combine_datasets
 from imujoco_minari.publishing.publisher import publish
-from imujoco_minari.remotes import card, connecting, pulling, pushing, stores
+from imujoco_minari.remotes import card, pulling, pushing, stores
 from imujoco_minari.storage import minari_root, transactions
 from imujoco_minari.storage.file_format import MAIN_FILE
 from imujoco_minari.verification import inspect
@@ -49,7 +49,7 @@ class FolderStore:
         file = self.folder / path
         return file.read_bytes() if file.is_file() else None
 
-    def registered(self, namespace: str, dataset_id: str) -> bool:
+    def registered(self, dataset_id: str) -> bool:
         return True
 
     def holds(self, dataset_id: str) -> bool:
@@ -59,8 +59,8 @@ class FolderStore:
     def upload_namespace(self, namespace: str) -> None:
         self._put(f"{namespace}/{transactions.NAMESPACE_FILE}", b"{}")
 
-    def upload_dataset(self, dataset_id: str, text: str | None = None) -> None:
-        self._put(f"{dataset_id}/{stores.CARD}", (text or "").encode())
+    def upload_dataset(self, dataset_id: str, text: str) -> None:
+        self._put(f"{dataset_id}/{stores.CARD}", text.encode())
         for name in stores.FILES:
             self._put(f"{dataset_id}/{name}", (minari_root.dataset_folder(dataset_id) / name).read_bytes())
 
@@ -350,7 +350,7 @@ def test_collections_come_along_if_nothing_else_is_in_them(store: FolderStore) -
 @pytest.mark.parametrize("address", ["bucket", "s3://bucket", "hf://", "gcp://a/b", "hf://user\n"])
 def test_a_malformed_address_is_told(address: str) -> None:
     with pytest.raises(RemoteError, match=r"malformed remote .*valid: hf://<user> or gcp://<bucket>"):
-        connecting.connect(address)
+        stores.connect(address)
 
 
 @pytest.mark.parametrize(
@@ -363,7 +363,7 @@ def test_a_missing_package_is_told_with_its_remedy(
         monkeypatch.delitem(sys.modules, f"imujoco_minari.remotes.{name}", raising=False)
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(DependencyError, match=r'pip install "imujoco-minari\[remote\]"'):
-        connecting.connect(address)
+        stores.connect(address)
 
 
 def test_without_a_remote_the_command_says_how_to_name_one(capsys: pytest.CaptureFixture[str]) -> None:
@@ -420,7 +420,7 @@ def test_a_card_says_what_a_dataset_is(published: Path) -> None:
     assert "| mass of leg | 2.78136 | 2.08602 | kg |" in text
     assert "export MINARI_REMOTE=hf://user" in text
     assert f'minari.load_dataset("{HOPPER}", download=True)' in text
-    assert "imujoco publish hopper-massdec_25_leggeom --episodes 2 --seed 0 --tier random" in text
+    assert "imujoco publish hopper-massdec_25_leggeom --tier random --episodes 2 --seed 0" in text
     assert "zenodo.org/records/7971395" in text
     with h5py.File(published / HOPPER / "data" / MAIN_FILE) as file:
         assert str(file.attrs["content_sha256"]) in text

@@ -24,7 +24,7 @@ from huggingface_hub import DatasetCard
 from imujoco_minari import remotes
 from imujoco_minari.errors import RemoteError
 from imujoco_minari.publishing.publisher import publish
-from imujoco_minari.remotes import connecting, stores
+from imujoco_minari.remotes import stores
 from imujoco_minari.storage import minari_root
 
 # huggingface_hub 2.4 uses httpx in a way that httpx would have changed.
@@ -87,7 +87,7 @@ def test_each_dataset_is_one_commit_and_the_registry_keeps_the_others(hub: Hub) 
 
 def test_a_push_that_is_cut_off_shows_nothing_and_uploads_no_file_twice(hub: Hub) -> None:
     publish("hopper-base", tier="random", episodes=1)
-    connecting.connect(REMOTE, writing=True).upload_namespace("imujoco")
+    stores.connect(REMOTE, writing=True).upload_namespace("imujoco")
     hub.fail_once_on = "/commit/"
     with pytest.raises(RemoteError, match="the token does not allow this"):
         remotes.push(BASE, REMOTE)
@@ -115,7 +115,7 @@ def test_a_large_file_is_compared_without_reading_it_whole(tmp_path: Path) -> No
 
 def test_another_push_in_between_loses_no_registration(hub: Hub, monkeypatch: pytest.MonkeyPatch) -> None:
     publish("hopper-base", tier="random", episodes=1)
-    store = connecting.connect(REMOTE, writing=True)
+    store = stores.connect(REMOTE, writing=True)
     store.upload_namespace("imujoco")
     commit, raced = type(store)._commit, []
 
@@ -130,7 +130,7 @@ def test_another_push_in_between_loses_no_registration(hub: Hub, monkeypatch: py
         commit(self, repository, files, message, parent)
 
     monkeypatch.setattr(type(store), "_commit", race)
-    store.upload_dataset(BASE)
+    store.upload_dataset(BASE, "")
     registry = json.loads(hub.head("user/imujoco").files["namespace_metadata.json"][0])
     assert registry["datasets"] == [BASE, "imujoco/x-v0"]
 
@@ -138,7 +138,7 @@ def test_another_push_in_between_loses_no_registration(hub: Hub, monkeypatch: py
 @pytest.mark.parametrize("registry", [b'{"datasets": 5}', b'{"datasets": [5]}', b"[]", b"{"])
 def test_a_damaged_registry_is_one_line(hub: Hub, registry: bytes) -> None:
     publish("hopper-base", tier="random", episodes=1)
-    connecting.connect(REMOTE, writing=True).upload_namespace("imujoco")
+    stores.connect(REMOTE, writing=True).upload_namespace("imujoco")
     hub.commit("user/imujoco", "damage", {"namespace_metadata.json": (registry, False)})
     for act in (remotes.push, remotes.pull):
         with pytest.raises(RemoteError, match=r"imujoco/namespace_metadata\.json on the remote"):
@@ -190,12 +190,12 @@ def test_a_bucket_asks_for_a_key_file(
     for name in ("STORAGE_EMULATOR_HOST", "GOOGLE_APPLICATION_CREDENTIALS"):
         monkeypatch.delenv(name, raising=False)
     with pytest.raises(RemoteError, match=f"gcp://bucket: .*{message}"):
-        connecting.connect("gcp://bucket", token=token, writing=True)
+        stores.connect("gcp://bucket", token=token, writing=True)
 
 
 def test_reading_needs_neither_token_nor_key(hub: Hub, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("HF_TOKEN", "STORAGE_EMULATOR_HOST", "GOOGLE_APPLICATION_CREDENTIALS"):
         monkeypatch.delenv(name, raising=False)
-    assert connecting.connect(REMOTE).read("imujoco/nothing") is None
-    assert type(connecting.connect("gcp://bucket")).__name__ == "BucketStore"
+    assert stores.connect(REMOTE).read("imujoco/nothing") is None
+    assert type(stores.connect("gcp://bucket")).__name__ == "BucketStore"
     assert "imujoco_minari.remotes.gcp" in sys.modules

@@ -12,7 +12,6 @@ import h5py
 import numpy as np
 import pytest
 
-from imujoco_minari.policies.rollouts import episode_seed
 from imujoco_minari.publishing.combiner import combine_datasets
 from imujoco_minari.publishing.publisher import publish, publish_recipe
 from imujoco_minari.publishing.recipes import Recipe
@@ -256,9 +255,3 @@ def test_a_training_run_is_an_exception(published: Path, root: Path) -> None:
     findings = verify(name)
     assert findings == []
     assert findings.exceptions == ("it records a training run, whose seeds are its own",)
-
-
-def test_seeds_follow_from_the_number(published: Path) -> None:
-    with h5py.File(file_format.main_file(published / RANKED / "data")) as file:
-        seeds = [int(file[f"episode_{number}"].attrs["seed"]) for number in range(5)]
-    assert seeds == [episode_seed(0, number) for number in range(5)]

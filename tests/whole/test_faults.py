@@ -169,18 +169,6 @@ def test_a_full_disk_while_publishing(step: str, root: Path, monkeypatch: pytest
     assert not (root / transactions.STAGING).exists()
 
 
-def test_what_hdf5_says_of_a_full_disk_is_understood() -> None:
-    # The words of h5py 3.16, which has no OSError for a failing close.
-    words = (
-        "Can't decrement id ref count (file write failed: time = Sat Nov 21 00:53:42 2026\n, filename = "
-        "'x.hdf5', file descriptor = 5, errno = 28, error message = 'No space left on device', buf = 0x5)"
-    )
-    with pytest.raises(StorageError, match="No space left on device"), transactions.staging():
-        raise RuntimeError(words)
-    with pytest.raises(RuntimeError, match="something else"), transactions.staging():
-        raise RuntimeError("something else")
-
-
 def test_a_small_disk(root: Path) -> None:
     """The limit on a file's size is the nearest thing to a full disk that needs no rights."""
     script = (

@@ -147,8 +147,8 @@ def test_outcomes(root: Path) -> None:
     findings = Findings([Finding("episode_0/observations", "is text, " + "not numbers " * 50)] * 100)
     for shown in (
         published,
-        Pushed(name, "hf://someone", True, 2**40, "0" * 64, 1 / 3),
-        Pulled(name, "hf://someone", folder, True, "0" * 64, False, 1 / 3, "an error " * 100),
+        Pushed(name, folder, "", False, "hf://someone", True, 2**40, "0" * 64, 1 / 3),
+        Pulled(name, folder, "an error " * 100, False, "hf://someone", True, "0" * 64, False, 1 / 3),
         Deleted(name, error="it has links"),
         *(verify(name), findings, Findings(exceptions=["it was collected by other versions"])),
         Motion(DAMAGED, np.zeros((1001, 6)), np.zeros(1000), 0.008, False, mjcf="<mujoco/>" * 1000),
