@@ -18,7 +18,7 @@ from imujoco_minari.errors import PolicyError, clipped
 from imujoco_minari.policies.doors import Array, Doors, given
 from imujoco_minari.variants import known_robots, specification
 
-_LOG_STD_RANGE = (-20.0, 2.0)
+LOG_STD_RANGE = (-20.0, 2.0)
 _ACTIVATIONS = ("ReLU", "Tanh", "ELU", "SiLU")
 
 # OpenBLAS uses several threads for a matrix-vector product of more than 9216 elements. The last bits of
@@ -149,7 +149,7 @@ class Actor(Doors):
             latent = self._latent(self._fitting(observation))
         mean = _affine(latent, self._mean)
         if not self.deterministic:
-            log_std = np.clip(_affine(latent, self._log_std), *_LOG_STD_RANGE)
+            log_std = np.clip(_affine(latent, self._log_std), *LOG_STD_RANGE)
             mean = mean + np.exp(log_std) * given(rng).standard_normal(mean.shape, dtype=np.float32)
         return self._scale(np.tanh(mean))
 
@@ -160,7 +160,7 @@ class Actor(Doors):
             observation: of shape ``(n,)``, or a batch of shape ``(b, n)``.
         """
         latent = self._latent(observation)
-        return _affine(latent, self._mean), np.clip(_affine(latent, self._log_std), *_LOG_STD_RANGE)
+        return _affine(latent, self._mean), np.clip(_affine(latent, self._log_std), *LOG_STD_RANGE)
 
     def _latent(self, observation: Array) -> Array:
         latent = observation.astype(np.float32)
@@ -188,7 +188,7 @@ class Actor(Doors):
             latent = self._activate(_affine_together(latent, layer))
         mean = _affine_together(latent, self._mean)
         if not self.deterministic:
-            log_std = np.clip(_affine_together(latent, self._log_std), *_LOG_STD_RANGE)
+            log_std = np.clip(_affine_together(latent, self._log_std), *LOG_STD_RANGE)
             for row, rng in enumerate(rngs):
                 mean[row] += np.exp(log_std[row]) * rng.standard_normal(mean.shape[1], dtype=np.float32)
         return self._scale(np.tanh(mean[: len(observations)]))
@@ -223,7 +223,7 @@ class Actor(Doors):
 
     @cached_property
     def _hidden(self) -> list[_Layer]:
-        return [self._layer(f"latent_pi.{2 * i}") for i in range(_depth(self.weights))]
+        return [self._layer(f"latent_pi.{2 * i}") for i in range(depth(self.weights))]
 
     @cached_property
     def _mean(self) -> _Layer:
@@ -283,13 +283,14 @@ def _affine_together(x: Array, layer: _Layer) -> Array:
     return y
 
 
-def _depth(weights: Mapping[str, Array]) -> int:
+def depth(weights: Mapping[str, Array]) -> int:
+    """Return the number of an actor's hidden layers."""
     return sum(name.startswith("latent_pi.") and name.endswith(".weight") for name in weights)
 
 
 def _check_shapes(weights: Mapping[str, Array]) -> None:
     """Raise a :class:`PolicyError` unless the layers chain from observation to mean and deviation."""
-    names = [f"latent_pi.{2 * i}" for i in range(_depth(weights))]
+    names = [f"latent_pi.{2 * i}" for i in range(depth(weights))]
     if not names:
         raise PolicyError("the actor has no hidden layer")
     expected = {f"{name}.{part}" for name in (*names, "mu", "log_std") for part in ("weight", "bias")}

@@ -18,13 +18,7 @@ from imujoco_minari.policies.actors import Policy
 from imujoco_minari.policies.experts import expert_actor, universal_policy
 from imujoco_minari.policies.files import read_actor
 from imujoco_minari.policies.references import ladder, measured_record
-from imujoco_minari.policies.rungs import (
-    RANKED_SHARES,
-    mean_return,
-    medium_rung,
-    ranked_rungs,
-    read_rung,
-)
+from imujoco_minari.policies.rungs import RANKED_SHARES, mean_return, medium_rung, ranked_rungs, read_rung
 from imujoco_minari.policies.uniform import random_policy
 from imujoco_minari.policies.universal import UniversalPolicy
 from imujoco_minari.storage.missing import making

@@ -22,18 +22,11 @@ from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies import expert_record, own_record
 from imujoco_minari.policies.rungs import mean_return
 from imujoco_minari.storage.files import write_json
-from imujoco_minari.training.hyperparameters import (
-    IMPROVE,
-    NEAR,
-    SCRATCH,
-    WARM,
-    hyperparameters,
-)
+from imujoco_minari.training.hyperparameters import IMPROVE, NEAR, SCRATCH, WARM, hyperparameters
 from imujoco_minari.training.installing import folded_score, install, own_score
-from imujoco_minari.training.plan import Plan
 from imujoco_minari.training.run import OnInterval, Run, do_nothing
 from imujoco_minari.training.starts import best_start
-from imujoco_minari.training.task import Task
+from imujoco_minari.training.task import Plan, Task
 from imujoco_minari.variants import BASE, Variant
 
 # A variant's run ends when its actor's score reaches this share of the base expert's mean return. The score
@@ -167,16 +160,7 @@ def task(variant: Variant, plan: Plan) -> Task:
     near = start.score >= NEAR_SHARE * needed_score
     kind = IMPROVE if variant.category == BASE else NEAR if near else WARM
     settings = hyperparameters(variant.robot, kind, **plan.changes)
-    return Task(
-        variant,
-        settings,
-        plan.seed,
-        start=start.name,
-        agent=start.agent,
-        start_sha256=start.sha256,
-        start_told=start.told,
-        target=target,
-    )
+    return Task(variant, settings, plan.seed, start, target)
 
 
 def _training_groups(variants: Sequence[Variant], plan: Plan) -> Iterator[list[Variant]]:

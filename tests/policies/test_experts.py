@@ -16,13 +16,7 @@ from safetensors.numpy import save_file
 from imujoco_minari.cli.app import run
 from imujoco_minari.envs.registration import make
 from imujoco_minari.errors import PolicyError, PolicyWarning
-from imujoco_minari.policies import (
-    Actor,
-    expert_actor,
-    expert_record,
-    expert_variants,
-    policies_folder,
-)
+from imujoco_minari.policies import Actor, expert_actor, expert_record, expert_variants, policies_folder
 from imujoco_minari.policies.experts import FOLDED, readable_record, shipped_folder
 from imujoco_minari.policies.references import weakness_of
 from imujoco_minari.policies.rollouts import episode_seed, roll_out

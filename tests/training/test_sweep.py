@@ -32,11 +32,10 @@ from imujoco_minari.training.agents import (
     save_arrays,
 )
 from imujoco_minari.training.hyperparameters import SCRATCH, WARM, hyperparameters
-from imujoco_minari.training.plan import Plan
 from imujoco_minari.training.run import Run
 from imujoco_minari.training.selection import CHOOSING_SEED, Look
 from imujoco_minari.training.sweep import Trained, train, train_all
-from imujoco_minari.training.task import Task
+from imujoco_minari.training.task import Plan, Task
 from imujoco_minari.variants import Variant
 
 BASE = Variant.parse("hopper-base")
@@ -256,7 +255,7 @@ def _evaluation(value: float, episodes: int) -> Evaluation:
 def test_a_near_start_is_held_to_what_it_began_as(tmp_path: Path) -> None:
     task = sweep.task(LIGHT_LEG, Plan(tmp_path, tmp_path, changes=TINY))
     seen = np.array([1.25, *[0.0] * 10]) + 0.1 * np.random.default_rng(0).normal(size=(200, 11))
-    begun = actor_of(agent_actor(task.agent), "hopper").act(seen, np.random.default_rng(0))
+    begun = actor_of(agent_actor(task.start.agent), "hopper").act(seen, np.random.default_rng(0))
 
     def moved(alpha: float) -> float:
         settings = replace(task.settings, anchor=alpha, exploration_steps=60, learning_rate=1e-3)

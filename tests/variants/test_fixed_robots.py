@@ -16,8 +16,8 @@ from imujoco_minari.envs.differences import differences
 from imujoco_minari.errors import CatalogueError, CatalogueWarning
 from imujoco_minari.pictures.rendering.scene import scene_model
 from imujoco_minari.publishing.publisher import publish
-from imujoco_minari.training.plan import Plan
 from imujoco_minari.training.sweep import train
+from imujoco_minari.training.task import Plan
 from imujoco_minari.variants import Variant, catalogue, forget_page
 from imujoco_minari.verification import verify
 
