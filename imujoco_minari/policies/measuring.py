@@ -21,15 +21,7 @@ from imujoco_minari.variants import Variant
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Episodes:
-    """The results of E episodes of a policy.
-
-    Attributes:
-        returns: (E,) float64; the undiscounted returns.
-        lengths: (E,) int64; the numbers of steps.
-        variants: the id of each episode's variant; empty for an environment that is no variant.
-        seed: base seed of the episodes.
-        deterministic: whether the policy acted deterministically; None where the policy does not say.
-    """
+    """The results of E episodes of a policy: see :class:`~imujoco_minari.policies.evaluation.Evaluation`."""
 
     returns: Array
     lengths: Array
@@ -58,11 +50,7 @@ def measure(
     seed: int,
     on_episode: Callable[[], None] | None = None,
 ) -> Episodes:
-    """Run seeded episodes of a policy; the arguments are those of ``evaluate``.
-
-    Raises:
-        ImujocoError: what ``evaluate`` raises.
-    """
+    """Run seeded episodes of a policy, as :func:`~imujoco_minari.policies.evaluation.evaluate` does."""
     whole_number(episodes, "episodes", least=1)
     whole_number(seed, "seed", least=0)
     act = batch_act(policy)

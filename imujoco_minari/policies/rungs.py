@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from imujoco_minari.errors import PolicyNotFoundError
 from imujoco_minari.policies.actors import Actor
@@ -17,7 +17,6 @@ from imujoco_minari.policies.files import read_actor
 from imujoco_minari.variants import Variant
 
 Rung = Mapping[str, Any]
-_Rung = TypeVar("_Rung", bound=Rung)
 
 # Medium is the rung whose return is nearest to this share of the expert's. It should be within the range.
 # The training run of medium-replay ends at the first actor that reaches the share.
@@ -40,7 +39,7 @@ def rungs_of_robot(base: Variant) -> list[dict[str, Any]]:
     return sorted(rungs, key=lambda rung: (rung.get("run", ""), rung["steps"]))
 
 
-def medium_rung(rungs: Sequence[_Rung], expert_return: float) -> _Rung:
+def medium_rung(rungs: Sequence[Rung], expert_return: float) -> Rung:
     """Return the rung whose return is nearest to 0.42 of the expert's."""
     return min(rungs, key=lambda rung: abs(mean_return(rung) - MEDIUM_SHARE * expert_return))
 

@@ -178,13 +178,12 @@ def write_csv(transfer: Transfer, path: Path) -> None:
         StorageError: if the file cannot be written.
     """
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
+    writer = csv.DictWriter(text, COLUMNS, extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
     for policy in transfer.policies:
         for variant in transfer.variants:
-            evaluation = transfer.cells[policy, variant].asdict()
-            numbers = [evaluation[name] for name in COLUMNS[3:]]
-            writer.writerow([policy, str(variant), variant.category, *numbers])
+            row = {"policy": policy, "variant": str(variant), "category": variant.category}
+            writer.writerow(row | transfer.cells[policy, variant].asdict())
     write_text(path, text.getvalue())
 
 

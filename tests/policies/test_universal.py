@@ -158,7 +158,7 @@ def test_episodes_of_ranges_are_acted_by_the_policy_that_is_told_what_was_drawn(
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"ranges": {}}, "KeyError"),
+        ({"ranges": {}}, "'mass/torsogeom' is missing"),
         ({"ranges": 3}, "TypeError"),
         ({"algorithm": 3}, "algorithm a text"),
         ({"measured": []}, "measured must be a table"),
@@ -166,7 +166,7 @@ def test_episodes_of_ranges_are_acted_by_the_policy_that_is_told_what_was_drawn(
         ("[nan, 1]", "two finite numbers"),
         ("[1, 1e999]", "two finite numbers"),
         ("[2, 1]", "the lower one first"),
-        ("[0, 1, 2]", "ValueError"),
+        ("[0, 1, 2]", "inhomogeneous"),
         (f"[0, 1{'0' * 400}]", "OverflowError"),
         ("[" * 100_000, "RecursionError"),
     ],
@@ -205,7 +205,7 @@ def test_files_of_another_robot_or_with_other_measurements_are_named(tmp_path: P
 
 
 def test_weights_of_any_size_are_not_read(tmp_path: Path) -> None:
-    (tmp_path / "hopper-universal.json").write_text("{}")
+    shutil.copy(shipped_folder() / "hopper-universal.json", tmp_path)
     with (tmp_path / "hopper-universal.safetensors").open("wb") as file:
         file.truncate(2**40)
     with pytest.raises(PolicyError, match=f"has {2**40} bytes; the limit is"):
