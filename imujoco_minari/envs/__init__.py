@@ -7,7 +7,6 @@ change.
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import Any
 
 from imujoco_minari.envs.registration import (
@@ -37,8 +36,9 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     # The environments import MuJoCo, which takes longer than the rest of the package.
     if name in ("CollectionEnv", "RandomisedEnv"):
-        module = import_module(f"{__name__}.{'drawing' if name == 'CollectionEnv' else 'randomised'}")
-        return getattr(module, name)
+        from imujoco_minari.envs import drawing
+
+        return getattr(drawing, name)
     if name.endswith("Env"):
         from imujoco_minari.envs import robots
 

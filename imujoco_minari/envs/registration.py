@@ -207,7 +207,7 @@ def randomised(
         distribution: ``uniform`` draws the percent uniformly; ``log-uniform`` draws the logarithm of the
             factor 1 + percent / 100 uniformly.
         **kwargs: what ``gymnasium.make`` takes, and ``parameters`` and ``observe_context`` of
-            :class:`~imujoco_minari.envs.randomised.RandomisedEnv`.
+            :class:`~imujoco_minari.envs.drawing.RandomisedEnv`.
 
     Raises:
         VariantError: if there is no such robot or parameter, or a parameter cannot have such a percent.

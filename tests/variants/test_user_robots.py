@@ -168,7 +168,7 @@ def test_another_page_of_a_robot_is_refused(folder: Path) -> None:
         ("strong.xml", "<worldbody>", "<world>", ["not XML"]),
         ("motors.xml", "<actuator>", '<include file="motors.xml"/><actuator>', ["which includes itself"]),
         ("strong.toml", 'feet = ["foot_geom"]', 'feet = ["boot_geom"]', ["no geom 'boot_geom'"]),
-        ("motors.xml", "<actuator>", "<actuator>" + "<a>" * 2000 + "</a>" * 2000, ["nested deeper than 100"]),
+        ("motors.xml", "<actuator>", "<actuator>" + "<a>" * 2000 + "</a>" * 2000, ["nested too deep"]),
         ("motors.xml", "<actuator>", "<!--" + " " * 2**20 + "--><actuator>", ["more than 1048576 bytes"]),
     ],
 )

@@ -96,18 +96,17 @@ def _rotated(vector: Floats, quat: Floats) -> Floats:
     return result
 
 
-def _stretch(edit: Edit) -> None:
-    # From mass to density and back would cost the last bit.
-    if edit.factor != 1.0:
-        for body in find_all(edit, "limb"):
-            _reshape(edit, body, length=edit.factor)
+def _reshaping(name: str, noun: str, dimension: str) -> CategoryLaw:
+    """Return the category that scales ``length`` or ``radius`` of a limb."""
+
+    def apply(edit: Edit) -> None:
+        # From mass to density and back would cost the last bit.
+        if edit.factor != 1.0:
+            for body in find_all(edit, "limb"):
+                _reshape(edit, body, **{dimension: edit.factor})
+
+    return CategoryLaw(name, noun, noun, "limb", apply, _FIELDS, moves_limbs=True)
 
 
-def _thicken(edit: Edit) -> None:
-    if edit.factor != 1.0:
-        for body in find_all(edit, "limb"):
-            _reshape(edit, body, radius=edit.factor)
-
-
-LENGTH = CategoryLaw("length", "length", "length", "limb", _stretch, _FIELDS, moves_limbs=True)
-SIZE = CategoryLaw("size", "thickness", "thickness", "limb", _thicken, _FIELDS, moves_limbs=True)
+LENGTH = _reshaping("length", "length", "length")
+SIZE = _reshaping("size", "thickness", "radius")
