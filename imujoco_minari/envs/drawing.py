@@ -97,11 +97,9 @@ class DrawingEnv(gym.Env[Any, Any]):
 
     @abstractmethod
     def _choose(self, name: str | None, seed: int) -> VariantEnv:
-        """Return the environment of the named variant, or else of a drawn one.
+        """Return the environment of the named variant, or without a name of one that ``seed`` draws.
 
-        Args:
-            name: id of the variant, or None.
-            seed: seed of the episode. ``np_random`` is seeded with it where the caller of ``reset`` gave it.
+        ``np_random`` is seeded with it where the caller of ``reset`` gave it.
         """
 
     def _begin_with(self, environment: VariantEnv, parameters: Sequence[str], observe_context: bool) -> None:

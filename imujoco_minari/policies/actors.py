@@ -34,13 +34,7 @@ _ROWS = 8
 
 
 class _Layer(NamedTuple):
-    """An affine layer.
-
-    Attributes:
-        weight: of shape (in, out).
-        blocks: the weight of a large layer in blocks, of shape (blocks, in, out / blocks); else None.
-        bias: of shape (out,).
-    """
+    """An affine layer: weight (in, out), and that of a large layer in blocks (blocks, in, out / blocks)."""
 
     weight: Array
     blocks: Array | None

@@ -86,12 +86,6 @@ def read_rung(
 ) -> Actor:
     """Return the actor of a rung in the ladder of ``variant``.
 
-    Args:
-        variant: the variant.
-        rung: an entry of its ladder.
-        folder: folder to search before the package's; None for the user's policies.
-        deterministic: whether the actor takes the mode of its distribution, or a sample.
-
     Raises:
         PolicyNotFoundError: if the file of the rung is missing.
         PolicyError: if the file holds no actor.

@@ -113,11 +113,7 @@ class UniversalPolicy:
         return {name: round(100 * value, 2) for name, value in named if value}
 
     def fold(self, variant: Variant) -> Actor:
-        """Return the policy that is told this variant: an actor of the observation alone.
-
-        Args:
-            variant: any variant of the robot.
-        """
+        """Return the policy that is told this variant: an actor of the observation alone."""
         weights = dict(self.actor.weights)
         size = specification(self.robot).observation_size
         first = weights[FIRST_WEIGHT].astype(np.float64)
@@ -130,11 +126,7 @@ class UniversalPolicy:
 
 
 class ToldPolicy:
-    """A universal policy that acts in one environment and is told the variant of each episode.
-
-    Args:
-        universal: the universal policy.
-    """
+    """A universal policy that acts in one environment and is told the variant of each episode."""
 
     def __init__(self, universal: UniversalPolicy) -> None:
         self._universal = universal

@@ -99,14 +99,9 @@ def best_teacher(variant: Variant, candidates: Sequence[Actor], base_return: flo
 
 
 def best_told(universal: UniversalPolicy, variant: Variant, others: Sequence[Variant]) -> list[Variant]:
-    """Return the three variants that a universal policy should be told to do best in a variant.
+    """Return the three of the others that a universal policy should be told to do best in a variant.
 
     One episode decides. The variant itself is not always best: told a lighter leg, a policy may run faster.
-
-    Args:
-        universal: the universal policy.
-        variant: the variant.
-        others: the variants that it can be told.
     """
     contexts = np.array([universal.context(other) for other in others])
     lanes = Lanes(variant.robot, len(others), lambda lane, episode: variant, TEACHER_SEED, told=False)

@@ -27,10 +27,6 @@ EPISODES, START_SEED = 5, 1_000_005
 def best_start(variant: Variant, policies: Path) -> Start:
     """Return the better start for a variant: the folded agent, or the base's.
 
-    Args:
-        variant: the variant.
-        policies: folder to search before the package's.
-
     Raises:
         PolicyNotFoundError: if the base's agent does not exist.
     """

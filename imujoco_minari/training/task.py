@@ -12,6 +12,8 @@ from imujoco_minari.policies import Array, policies_folder
 from imujoco_minari.training.hyperparameters import SCRATCH, Hyperparameters
 from imujoco_minari.variants import Variant
 
+# Share of the episodes whose variant is drawn.
+_DRAWN = 0.1
 # A weak variant is chosen up to six times as often as one that does well.
 _WEIGHTS = (0.1, 0.6)
 
@@ -56,22 +58,17 @@ class Distribution:
     Attributes:
         listed: the variants that evaluate it -> the return that counts as 1 in each.
         draw: a seed -> another variant to train in.
-        drawn: share of the episodes whose variant is drawn.
     """
 
     listed: Mapping[Variant, float]
     draw: Callable[[int], Variant]
-    drawn: float = 0.1
 
     def choose(self, rng: np.random.Generator, seed: int, running: Mapping[str, float]) -> Variant:
-        """Return the variant of an episode.
+        """Return the variant of an episode, which ``seed`` draws or ``rng`` chooses among the listed ones.
 
-        Args:
-            rng: source of the choice.
-            seed: of a drawn variant.
-            running: variant -> running share of its training episodes. Weak variants come more often.
+        ``running`` maps variants to shares of their training episodes. Weak variants come more often.
         """
-        if rng.random() < self.drawn:
+        if rng.random() < _DRAWN:
             return self.draw(seed)
         variants = list(self.listed)
         shares = np.array([running.get(str(each), 0.8) for each in variants])

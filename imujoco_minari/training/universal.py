@@ -98,7 +98,7 @@ def lessons(robot: str, policies: Path, seed: int, trained: UniversalPolicy) -> 
     Args:
         robot: the robot.
         policies: folder to search before the package's.
-        seed: of the drawn variants.
+        seed: seed of the drawn variants.
         trained: a universal policy that may teach, beside the present one.
     """
     base = Variant(robot)

@@ -90,14 +90,9 @@ def _anchored() -> tuple[Any, Any]:
 
 
 def update(agent: Any, data: Any, count: int, delay: int, offset: int) -> None:
-    """Make gradient steps of an agent, one for each equal part of the data.
+    """Make ``count`` gradient steps of an agent, one for each equal part of the data.
 
-    Args:
-        agent: the agent.
-        data: the transitions of all steps.
-        count: number of steps.
-        delay: steps of the critics for each step of the actor.
-        offset: number of the first step, modulo ``delay``.
+    The actor makes a step for each ``delay`` steps of the critics; ``offset`` is the number of the first.
     """
     policy = agent.policy
     loop = _anchored()[1] if hasattr(policy.actor_state, "anchor") else agent._train

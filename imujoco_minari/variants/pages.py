@@ -195,12 +195,7 @@ def parse_specification(text: str, name: str) -> RobotSpecification:
 
 
 class _Page:
-    """The checked values of a page's keys.
-
-    Args:
-        data: the parsed TOML.
-        name: of the file, for messages.
-    """
+    """The checked values of a page's keys."""
 
     def __init__(self, data: dict[str, Any], name: str) -> None:
         self._data, self._name = data, name

@@ -35,19 +35,10 @@ def compile_shape(spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 
 def _reshape(edit: Edit, body: mujoco.MjsBody, *, length: float = 1.0, radius: float = 1.0) -> None:
-    """Scale the length of a capsule's segment and its radius. The density stays.
+    """Scale the length of the segment of a body that is one capsule, and its radius. The density stays.
 
     The point of the segment nearest to the limb's joint stays where it is, or the centre if the limb has no
     joint of its own. Child bodies move with the end that they are attached to.
-
-    Args:
-        edit: the change.
-        body: a body of the model that is one capsule.
-        length: factor on the length.
-        radius: factor on the radius.
-
-    Raises:
-        ModelError: when the body has another shape.
     """
     if len(body.geoms) != 1 or body.geoms[0].type != mujoco.mjtGeom.mjGEOM_CAPSULE:
         raise ModelError(f"body {body.name!r} is not one capsule, so its shape cannot change")
