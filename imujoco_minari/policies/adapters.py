@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import sys
 from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
@@ -36,7 +37,9 @@ def batch_act(policy: Any) -> BatchAct:
     if callable(getattr(policy, "act_together", None)):
         together: BatchAct = policy.act_together
         return together
-    is_module = _is_torch_module(policy)
+    # A module of torch exists only where torch is imported, which takes seconds.
+    torch = sys.modules.get("torch")
+    is_module = torch is not None and isinstance(policy, torch.nn.Module)
     if not is_module and callable(getattr(policy, "act", None)):
         return lambda observations, rngs: [policy.act(*each) for each in zip(observations, rngs, strict=True)]
     if callable(getattr(policy, "predict", None)):
@@ -90,14 +93,6 @@ def _predict(predict: Callable[..., Any], observations: Array) -> Any:
     if state is not None:
         raise PolicyError("the policy is recurrent: predict() returns a state, which is not supported")
     return actions
-
-
-def _is_torch_module(policy: Any) -> bool:
-    # By name, so that torch is not imported for policies that do not need it.
-    return any(
-        f"{kind.__module__}.{kind.__name__}" == "torch.nn.modules.module.Module"
-        for kind in type(policy).__mro__
-    )
 
 
 def _forward(module: Any, observations: Array) -> Any:

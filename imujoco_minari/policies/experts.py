@@ -152,9 +152,7 @@ def _folded_record(variant: Variant, folder: Path | None = None) -> dict[str, An
 
 def keep_measured(variant: Variant, measured: Mapping[str, Any]) -> None:
     """Keep the evaluations of an expert, beside the user's policies, for :func:`expert_record`."""
-    path = _measured_file(variant)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_json(path, dict(measured))
+    write_json(_measured_file(variant), dict(measured))
 
 
 def _measured_file(variant: Variant) -> Path:

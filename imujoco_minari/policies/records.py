@@ -15,7 +15,7 @@ from imujoco_minari.variants import Variant
 # A record with a ladder and its history has 7 kB.
 _MAX_BYTES = 2**22
 _MAX_HISTORY = 100
-_EVALUATION = ("episodes", "return_mean", "return_std", "return_min", "return_max", "length_mean")
+EVALUATION = ("episodes", "return_mean", "return_std", "return_min", "return_max", "length_mean")
 
 
 def read_own_record(path: Path, variant: Variant) -> dict[str, Any]:
@@ -95,7 +95,7 @@ def naming(path: Path, what: str = "a training record") -> Iterator[None]:
 def _check_evaluation(evaluation: Any, name: str) -> None:
     if not isinstance(evaluation, Mapping):
         raise ValueError(f"{name} must be a table")
-    for key in _EVALUATION:
+    for key in EVALUATION:
         _check_number(evaluation[key], f"{name}/{key}")
     if evaluation["episodes"] < 1:
         raise ValueError(f"{name}/episodes must be 1 or more")

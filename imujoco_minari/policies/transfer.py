@@ -21,22 +21,13 @@ from imujoco_minari.errors import JobError, PolicyNotFoundError, TransferError
 from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies import Actor, Policy, expert_actor, expert_variants
 from imujoco_minari.policies.evaluation import Evaluation, evaluate
+from imujoco_minari.policies.records import EVALUATION
 from imujoco_minari.short_repr import short_repr
 from imujoco_minari.storage.files import write_text
 from imujoco_minari.variants import Variant, catalogue
 
 FORMAT = 2
-COLUMNS = (
-    "policy",
-    "variant",
-    "category",
-    "episodes",
-    "return_mean",
-    "return_std",
-    "return_min",
-    "return_max",
-    "length_mean",
-)
+COLUMNS = ("policy", "variant", "category", *EVALUATION)
 
 
 @dataclass(frozen=True)

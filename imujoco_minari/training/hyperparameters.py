@@ -12,8 +12,9 @@ from typing import Any, get_type_hints
 
 from imujoco_minari.errors import CatalogueError, clipped, suggestion
 from imujoco_minari.variants import specification
+from imujoco_minari.variants.pages import STARTS
 
-SCRATCH, WARM, NEAR, IMPROVE, UNIVERSAL = "scratch", "warm", "near", "improve", "universal"
+SCRATCH, WARM, NEAR, IMPROVE, UNIVERSAL = STARTS
 _MAY_BE_ZERO = {"settling_rate", "settling_from", "exploration_steps", "critic_updates", "anchor", "momentum"}
 
 

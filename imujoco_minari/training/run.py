@@ -104,7 +104,6 @@ class Run:
 
     def __init__(self, task: Task, folder: Path, wrap: Wrap | None = None, device: str | None = None) -> None:
         self.task, self.folder, self.progress = task, folder, Progress()
-        (folder / "ladder").mkdir(parents=True, exist_ok=True)
         settings, page = task.settings, specification(task.variant.robot)
         self._lanes = Lanes(
             task.variant.robot, settings.lanes, self._choose, task.seed, told=task.over is not None, wrap=wrap

@@ -6,7 +6,6 @@ policies folder. A lock in its state folder prevents two sweeps from training it
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import shutil
@@ -21,7 +20,7 @@ from imujoco_minari.errors import ImujocoError, JobError, StorageError, Training
 from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies import expert_record, own_record
 from imujoco_minari.policies.rungs import mean_return
-from imujoco_minari.storage.files import write_json
+from imujoco_minari.storage.files import try_lock, write_json
 from imujoco_minari.training.hyperparameters import IMPROVE, NEAR, SCRATCH, WARM, hyperparameters
 from imujoco_minari.training.installing import folded_score, install, own_score
 from imujoco_minari.training.run import OnInterval, Run, do_nothing
@@ -188,7 +187,7 @@ def lock_folder(folder: Path) -> Iterator[None]:
         raise StorageError(f"cannot write {folder}: {error.strerror or error}") from None
     try:
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            try_lock(handle)
         except BlockingIOError:
             raise TrainingError(f"{folder.name} is being trained by another process, in {folder}") from None
         yield
