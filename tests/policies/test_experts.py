@@ -15,7 +15,7 @@ from safetensors.numpy import save_file
 
 from imujoco_minari.cli.app import run
 from imujoco_minari.envs.registration import make
-from imujoco_minari.errors import PolicyError, PolicyWarning
+from imujoco_minari.errors import PolicyError, PolicyNotFoundError, PolicyWarning
 from imujoco_minari.policies import Actor, expert_actor, expert_record, expert_variants, policies_folder
 from imujoco_minari.policies.experts import FOLDED, readable_record, shipped_folder
 from imujoco_minari.policies.references import weakness_of
@@ -76,6 +76,14 @@ def test_a_damaged_record_is_named(home: Path, text: str) -> None:
     (policies_folder() / "hopper-base.json").write_text(text)
     with pytest.raises(PolicyError, match=r"hopper-base\.json: not a training record"):
         expert_actor(Variant.parse("hopper-base"))
+
+
+def test_a_record_without_weights_is_named(home: Path) -> None:
+    policies_folder().mkdir(parents=True)
+    record = dict(expert_record(BASE)) | {"variant": "hopper-massinc_12_leggeom"}
+    (policies_folder() / "hopper-massinc_12_leggeom.json").write_text(json.dumps(record))
+    with pytest.raises(PolicyNotFoundError, match=r"but hopper-massinc_12_leggeom\.safetensors is missing"):
+        expert_actor(Variant.parse("hopper-massinc_12_leggeom"))
 
 
 EVALUATION = dict(expert_record(LIGHT_LEG)["evaluation"])

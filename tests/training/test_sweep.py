@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -315,9 +314,7 @@ def test_a_score_below_zero_is_improved(tmp_path: Path, monkeypatch: pytest.Monk
     run.close()
 
 
-@pytest.mark.parametrize(
-    ("share", "rate", "anchor"), [(-0.1, 1e-3, 0), (0.5, 1e-3, 0), (0.89, 1e-3, 0), (0.95, 3e-4, 20)]
-)
+@pytest.mark.parametrize(("share", "rate", "anchor"), [(0.89, 1e-3, 0), (0.95, 3e-4, 20)])
 def test_a_near_start_takes_smaller_steps_and_is_held(
     share: float, rate: float, anchor: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -348,18 +345,6 @@ def test_a_weak_outcome_says_what_may_do_better(
     for outcome in (Trained(LIGHT_LEG, record, created=True), Trained(LIGHT_LEG, record, tried=record)):
         printed = " ".join(describe_trained(outcome, Plan(tmp_path)))
         assert (command in printed) if command else ("may do better" not in printed)
-
-
-def test_a_broken_record_is_named(home: Path) -> None:
-    folder = policies_folder()
-    folder.mkdir(parents=True)
-    (folder / "hopper-massinc_12_leggeom.json").write_text("{")
-    with pytest.raises(PolicyError, match="not a training record"):
-        expert_record(Variant.parse("hopper-massinc_12_leggeom"))
-    record = dict(expert_record(BASE)) | {"variant": "hopper-massinc_12_leggeom"}
-    (folder / "hopper-massinc_12_leggeom.json").write_text(json.dumps(record))
-    with pytest.raises(PolicyNotFoundError, match=r"but hopper-massinc_12_leggeom\.safetensors is missing"):
-        expert_actor(Variant.parse("hopper-massinc_12_leggeom"))
 
 
 def test_a_run_that_does_not_beat_a_folded_policy_without_evaluation_is_described(tmp_path: Path) -> None:

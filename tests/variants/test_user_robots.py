@@ -149,6 +149,13 @@ def test_another_page_of_a_robot_is_refused(folder: Path) -> None:
         ),
         ("strong.toml", '"rooty"]', '"rootyaw"]', ["no joint 'rootyaw'", "rootx, rootz"]),
         ("strong.toml", "= 125", "= 50", ["steps_per_second = 50, but its environment has 125"]),
+        ("strong.toml", "[0.7, inf]", "[70.0, inf]", ["not healthy at rest"]),
+        (
+            "strong.toml",
+            '"Hopper-v5"',
+            '"HalfCheetah-v5"',
+            ["healthy_z_range, which HalfCheetah-v5 does not take"],
+        ),
         ("strong.toml", "action_size = 3", "action_size = 4", ["action_size = 4, but its environment has 3"]),
         ("strong.toml", "description", "describe", ["[splits.mass-v1] must hold description, held_out and"]),
         ("strong.toml", "{ category", "{ categories", ["[splits.mass-v1] unknown rule 'categories'"]),
