@@ -17,7 +17,7 @@ from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
 from imujoco_minari.envs.registration import environment_spec
-from imujoco_minari.envs.robots import VariantEnv
+from imujoco_minari.envs.robots import Array, VariantEnv
 from imujoco_minari.errors import ArgumentError, DrawingError, VariantError, clipped, suggestion, unknown
 from imujoco_minari.variants import Variant, adopt_page
 from imujoco_minari.variants.changes import plain_number
@@ -25,8 +25,6 @@ from imujoco_minari.variants.context import changed_parameters, check_parameters
 from imujoco_minari.variants.original import OriginalVariant
 from imujoco_minari.variants.ranges import UNIFORM, Ranges, drawing_ranges
 from imujoco_minari.variants.robots import forget_on_error
-
-Array = NDArray[Any]
 
 
 class DrawingEnv(gym.Env[Any, Any]):
