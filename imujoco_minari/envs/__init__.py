@@ -39,13 +39,10 @@ def __getattr__(name: str) -> Any:
         from imujoco_minari.envs import drawing
 
         return getattr(drawing, name)
-    if name.endswith("Env"):
-        from imujoco_minari.envs import robots
+    if name.endswith("VariantEnv"):
+        from imujoco_minari.envs.robots import variant_class
 
-        if name in vars(robots):
-            return getattr(robots, name)
-        if name.endswith("VariantEnv"):
-            return robots.variant_class(name.removesuffix("VariantEnv"))
+        return variant_class(name.removesuffix("VariantEnv"))
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -64,9 +64,7 @@ def expert_record(variant: Variant, folder: Path | None = None) -> Mapping[str, 
     the universal policy and what it was told, and the evaluations that are known:
     :func:`~imujoco_minari.policies.references.measured_record` makes them.
 
-    Args:
-        variant: the variant.
-        folder: folder to search before the package's; None means :func:`policies_folder`.
+    ``folder`` is searched in place of :func:`policies_folder`, before the package's.
 
     Raises:
         PolicyError: if the record cannot be read.
@@ -83,9 +81,7 @@ def expert_record(variant: Variant, folder: Path | None = None) -> Mapping[str, 
 def own_record(variant: Variant, folder: Path | None = None) -> Mapping[str, Any]:
     """Return the training record of the expert that was trained on a variant; empty when there is none.
 
-    Args:
-        variant: the variant.
-        folder: folder to search before the package's; None means :func:`policies_folder`.
+    ``folder`` is searched in place of :func:`policies_folder`, before the package's.
 
     Raises:
         PolicyError: if the record cannot be read.
@@ -117,9 +113,7 @@ def is_folded(record: Mapping[str, Any]) -> bool:
 def universal_policy(robot: str, folder: Path | None = None) -> UniversalPolicy | None:
     """Return the universal policy of a robot, or None when it has none.
 
-    Args:
-        robot: the robot.
-        folder: folder to search before the package's; None means :func:`policies_folder`.
+    ``folder`` is searched in place of :func:`policies_folder`, before the package's.
 
     Raises:
         PolicyError: if its files are damaged.
@@ -162,8 +156,7 @@ def _measured_file(variant: Variant) -> Path:
 def expert_variants(folder: Path | None = None) -> tuple[Variant, ...]:
     """Return the variants that have an expert of their own, of the user or of the package, sorted.
 
-    Args:
-        folder: folder to search before the package's; None means :func:`policies_folder`.
+    ``folder`` is searched in place of :func:`policies_folder`.
     """
     found = []
     for name in policy_files("*-*.json", folder):
@@ -176,9 +169,7 @@ def expert_variants(folder: Path | None = None) -> tuple[Variant, ...]:
 def agent_file(name: Variant | str, folder: Path | None = None) -> Path | None:
     """Return the file of an agent (actor, critics, optimiser) that training can start from, or None.
 
-    Args:
-        name: a base, or ``<robot>-universal`` for the critics of the universal policy.
-        folder: folder to search before the package's; None means :func:`policies_folder`.
+    ``name`` is a base, or ``<robot>-universal`` for the critics of the universal policy.
     """
     return find_policy_file(f"{name}.agent.safetensors", folder)
 
@@ -205,9 +196,7 @@ def policy_files(pattern: str, folder: Path | None = None) -> set[str]:
 
 
 def find_policy_file(name: str, folder: Path | None = None) -> Path | None:
-    """Return the path of a file in ``folder`` or in the package, or None.
-
-    A ``folder`` of None means :func:`policies_folder`.
+    """Return the path of a file in ``folder`` (or :func:`policies_folder`) or in the package, or None.
 
     Raises:
         PolicyError: if something else has this name, for example a folder or a named pipe.
