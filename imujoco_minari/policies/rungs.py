@@ -7,7 +7,6 @@ on the variant. ``run`` names the variant whose training saved it; without ``run
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from imujoco_minari.errors import PolicyNotFoundError
@@ -81,9 +80,7 @@ def rung_file(run: Variant | str, steps: int) -> str:
     return f"{run}.rung-{steps}.safetensors"
 
 
-def read_rung(
-    variant: Variant, rung: Rung, folder: Path | None = None, *, deterministic: bool = True
-) -> Actor:
+def read_rung(variant: Variant, rung: Rung, *, deterministic: bool = True) -> Actor:
     """Return the actor of a rung in the ladder of ``variant``.
 
     Raises:
@@ -91,10 +88,10 @@ def read_rung(
         PolicyError: if the file holds no actor.
     """
     name = rung_file(rung.get("run", variant.base), rung["steps"])
-    path = find_policy_file(name, folder)
+    path = find_policy_file(name)
     if path is None:
         raise PolicyNotFoundError(f"the training record of {variant} names {name}, which is missing")
-    algorithm = own_record(variant, folder).get("algorithm", "SAC")
+    algorithm = own_record(variant).get("algorithm", "SAC")
     return read_actor(path, deterministic=deterministic, algorithm=algorithm).for_robot(variant.robot)
 
 

@@ -52,7 +52,7 @@ def test_a_record_is_of_the_weights_beside_it(variant: Variant) -> None:
     assert record["start"] in ("scratch", FOLDED) or record["start"].startswith(f"{variant.robot}-")
     assert len(record["ladder"]) >= 4
     for rung in record["ladder"]:
-        read_rung(variant, rung, shipped_folder()).check(variant.robot)
+        read_rung(variant, rung).check(variant.robot)
 
 
 @pytest.mark.parametrize("variant", SAMPLE, ids=str)
