@@ -49,9 +49,6 @@ def variant_model(variant: Variant) -> mujoco.MjModel:
 
     It equals ``compile_mjcf(canonical_mjcf(variant))`` in every byte, but writes and reads no text. That
     takes a third of the time, which counts where each episode has another variant.
-
-    Raises:
-        ModelError: when MuJoCo cannot compile the edited model.
     """
     return copy(_edited(variant).model)
 

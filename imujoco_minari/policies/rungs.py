@@ -85,7 +85,6 @@ def read_rung(variant: Variant, rung: Rung, *, deterministic: bool = True) -> Ac
 
     Raises:
         PolicyNotFoundError: if the file of the rung is missing.
-        PolicyError: if the file holds no actor.
     """
     name = rung_file(rung.get("run", variant.base), rung["steps"])
     path = find_policy_file(name)

@@ -73,11 +73,7 @@ class _Cell(NamedTuple):
 
 
 def expert_policies(robot: str, category: str | None = None) -> dict[str, Policy]:
-    """Return the expert policies of a robot by the ids of their variants, the base's first.
-
-    Args:
-        robot: name of the robot.
-        category: return the base's policy and those of this category only.
+    """Return the expert policies of a robot's :func:`columns` by the ids of their variants.
 
     Raises:
         PolicyNotFoundError: if no expert of them has been trained.
@@ -93,11 +89,7 @@ def expert_policies(robot: str, category: str | None = None) -> dict[str, Policy
 
 
 def columns(robot: str, category: str | None = None) -> tuple[Variant, ...]:
-    """Return the variants to evaluate a robot's policies on: its base, then those of the catalogue.
-
-    Raises:
-        VariantError: if the robot or the category does not exist.
-    """
+    """Return the variants to evaluate a robot's policies on: its base, then those of the catalogue."""
     return (Variant(robot), *catalogue(robot, category))
 
 

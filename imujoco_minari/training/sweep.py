@@ -142,11 +142,7 @@ def _train_or_report(variant: Variant, plan: Plan) -> Trained:
 
 
 def task(variant: Variant, plan: Plan) -> Task:
-    """Return the run of a variant under a plan: its start, target and hyperparameters.
-
-    Raises:
-        PolicyNotFoundError: if the agent to start from does not exist.
-    """
+    """Return the run of a variant under a plan: its start, target and hyperparameters."""
     target = float("inf") if plan.target is None else plan.target
     improving = plan.improve and bool(own_record(variant, plan.policies))
     if plan.scratch or (variant.category == BASE and not improving):
