@@ -99,7 +99,7 @@ class Evaluation:
             PolicyNotFoundError: when a variant has no expert.
         """
         # A reference that no record has is measured, by evaluate().
-        from imujoco_minari.policies.normalized import normalized_score
+        from imujoco_minari.policies.references import normalized_score
 
         if not all(self.variants):
             raise VariantError("the environment is no variant, so its returns have no reference scores")
