@@ -68,20 +68,6 @@ class Lesson(NamedTuple):
     share: float
 
 
-class Round(NamedTuple):
-    """The result of one round of the student.
-
-    Attributes:
-        number: of the round, from 1.
-        shares: mean reward (per step) of the student in each variant, as a share of the teacher's.
-        seconds: since the beginning.
-    """
-
-    number: int
-    shares: Array
-    seconds: float
-
-
 def best_teacher(variant: Variant, candidates: Sequence[Actor], base_return: float) -> Lesson:
     """Return the best of several policies for a variant: by one episode, then the best three by four.
 
@@ -120,7 +106,7 @@ def distil(
     lessons: Sequence[Lesson],
     start: Actor,
     settings: Distilling,
-    on_round: Callable[[Round], None] = lambda told: None,
+    say: Callable[[str], None] = lambda line: None,
 ) -> dict[str, Array]:
     """Return the weights of a universal policy that acts as the teachers do.
 
@@ -129,7 +115,7 @@ def distil(
         start: the actor that the student begins as: one of the observation alone, whose context inputs begin
             with zero weights, or one of observation and context.
         settings: the settings.
-        on_round: called after each round.
+        say: called with a line about each round.
 
     Returns:
         Arrays under Stable-Baselines3's names; the first layer takes observation and context.
@@ -169,7 +155,11 @@ def distil(
         updates = settings.updates * (4 if last else 1)
         memory = np.concatenate(seen), np.concatenate(labels)
         student.learn(*memory, rng, updates, settings.learning_rate / (100 if last else 5))
-        on_round(Round(number, record(student.act) / wanted, time.monotonic() - begin))
+        shares = record(student.act) / wanted
+        say(
+            f"round {number}: {np.median(shares):.3f} of the teachers (median), "
+            f"lowest {shares.min():.3f}, {(time.monotonic() - begin) / 60:.1f} min"
+        )
     lanes.close()
     return student.weights()
 

@@ -41,7 +41,6 @@ from imujoco_minari.training.critics import with_context
 from imujoco_minari.training.distilling import (
     Distilling,
     Lesson,
-    Round,
     best_teacher,
     best_told,
     distil,
@@ -165,7 +164,7 @@ def train_universal(
         taught = lessons(robot, plan.policies, plan.seed, trained)
         shares = [lesson.share for lesson in taught]
         say(f"{len(taught)} variants, their teachers at {np.median(shares):.3f} of the base (median)")
-        weights = distil(taught, (present or trained).actor, distilling, partial(_tell, say))
+        weights = distil(taught, (present or trained).actor, distilling, say)
         record: dict[str, Any] = {
             "robot": robot,
             "algorithm": ALGORITHM,
@@ -201,13 +200,6 @@ def train_universal(
 def _score(record: Mapping[str, Any]) -> float:
     """Return the mean score of a universal policy over the variants that it was evaluated in."""
     return float(np.mean([score(measured["evaluation"]) for measured in record["measured"].values()]))
-
-
-def _tell(say: Callable[[str], None], told: Round) -> None:
-    say(
-        f"round {told.number}: {np.median(told.shares):.3f} of the teachers (median), "
-        f"lowest {told.shares.min():.3f}, {told.seconds / 60:.1f} min"
-    )
 
 
 def _task(robot: str, plan: Plan) -> Task:
