@@ -35,10 +35,6 @@ SHIPPED_RUNGS = rungs_of_robot(BASE)
 SAMPLE = random.Random(len(SHIPPED)).sample(SHIPPED, min(4, len(SHIPPED)))
 
 
-def test_the_worked_example_and_a_base_are_shipped() -> None:
-    assert {Variant.parse("hopper-massdec_25_leggeom"), Variant.parse("hopper-base")} <= set(SHIPPED)
-
-
 @pytest.mark.parametrize("variant", SHIPPED, ids=str)
 def test_a_record_is_of_the_weights_beside_it(variant: Variant) -> None:
     record, actor = expert_record(variant), expert_actor(variant)
