@@ -112,8 +112,7 @@ def distil(
 
     Args:
         lessons: variants of one robot with their teachers.
-        start: the actor that the student begins as: one of the observation alone, whose context inputs begin
-            with zero weights, or one of observation and context.
+        start: the actor of observation and context that the student begins as.
         settings: the settings.
         say: called with a line about each round.
 
@@ -126,8 +125,8 @@ def distil(
     lanes = Lanes(
         variants[0].robot, len(lessons), lambda lane, episode: variants[lane], settings.seed, told=True
     )
-    student = Student(start, lanes.contexts.shape[1], size, settings)
-    # The inputs of each recording, and the labels of the teachers.
+    student = Student(start, settings)
+    # The inputs of each recording, and the teachers' modes and log deviations for them.
     seen: list[Array] = []
     labels: list[Array] = []
 
@@ -140,7 +139,8 @@ def distil(
             rewards += lanes.step(np.clip(act(inputs[-1]), -1, 1)).rewards
         for lane, teacher in enumerate(teachers):
             seen.append(np.array([rows[lane] for rows in inputs]))
-            labels.append(label(teacher, seen[-1][:, :size]))
+            mean, log_std = teacher.distribution(seen[-1][:, :size])
+            labels.append(np.concatenate([np.tanh(mean), log_std], axis=1))
         return rewards / settings.steps
 
     def taught(inputs: Array, noise: float = 0.0) -> Array:
@@ -172,24 +172,16 @@ def with_unused_context(actor: Actor, parameters: int) -> Actor:
     return replace(actor, weights=dict(actor.weights) | widened)
 
 
-def label(teacher: Actor, observations: Array) -> Array:
-    """Return a teacher's modes, in [-1, 1], and log deviations; shape (b, 2 * action size)."""
-    mean, log_std = teacher.distribution(observations)
-    return np.concatenate([np.tanh(mean), log_std], axis=-1)
-
-
 class Student:
     """The weights that learn, in JAX."""
 
-    def __init__(self, start: Actor, parameters: int, observation_size: int, settings: Distilling) -> None:
+    def __init__(self, start: Actor, settings: Distilling) -> None:
         jax = import_jax()
         import jax.numpy as jnp
         import optax
 
-        whole = start if start.observation_size > observation_size else with_unused_context(start, parameters)
-        weights = {name: np.array(array, np.float32) for name, array in whole.weights.items()}
-        self._params, self._batch = weights, settings.batch_size
-        self._rate = settings.learning_rate
+        self._params = {name: np.array(array, np.float32) for name, array in start.weights.items()}
+        self._batch, self._rate = settings.batch_size, settings.learning_rate
         optimiser = optax.inject_hyperparams(optax.adam)(learning_rate=self._rate)
         self._state = optimiser.init(self._params)
 

@@ -16,7 +16,14 @@ from imujoco_minari.policies.universal import FIRST_WEIGHT, UniversalPolicy
 from imujoco_minari.training import universal
 from imujoco_minari.training.agents import load_arrays
 from imujoco_minari.training.critics import with_context
-from imujoco_minari.training.distilling import Distilling, Lesson, best_teacher, best_told, distil
+from imujoco_minari.training.distilling import (
+    Distilling,
+    Lesson,
+    best_teacher,
+    best_told,
+    distil,
+    with_unused_context,
+)
 from imujoco_minari.training.run import Progress
 from imujoco_minari.training.starts import best_start
 from imujoco_minari.training.task import Plan, Task
@@ -42,9 +49,10 @@ def silent() -> Actor:
 
 def test_the_student_is_told_its_variant_and_acts_as_its_teacher() -> None:
     lessons, lines = [lesson(BASE), Lesson(HEAVY, silent(), 0.1)], []
-    weights = distil(lessons, expert_actor(BASE), SMALL, lines.append)
+    start = with_unused_context(expert_actor(BASE), len(parameters("hopper")))
+    weights = distil(lessons, start, SMALL, lines.append)
     assert [line[:8] for line in lines] == ["round 1:", "round 2:"]
-    again = distil(lessons, expert_actor(BASE), SMALL)
+    again = distil(lessons, start, SMALL)
     assert all(np.array_equal(array, weights[name]) for name, array in again.items())
     count, rng = len(parameters("hopper")), np.random.default_rng(0)
     floats = {name: array.astype(np.float32) for name, array in weights.items()}
