@@ -46,8 +46,8 @@ def expert_actor(variant: Variant, *, deterministic: bool = True) -> Actor:
                 f"no expert policy exists for {variant}: train one with `imujoco train {variant}`, or give "
                 "one with --policy FILE; `imujoco policies` lists those that exist"
             )
-        told = replace(universal, deterministic=deterministic)
-        return replace(told.fold(variant), record=expert_record(variant))
+        folded = universal.fold(variant)
+        return replace(folded, deterministic=deterministic, record=expert_record(variant))
     path = find_policy_file(f"{variant}.safetensors")
     if path is None:
         raise PolicyNotFoundError(f"{variant} has a training record, but {variant}.safetensors is missing")

@@ -24,7 +24,7 @@ def read_own_record(path: Path, variant: Variant) -> dict[str, Any]:
     Raises:
         PolicyError: if the file holds no such record.
     """
-    with naming(path):
+    with errors_of(path):
         record = read_object(path)
         if record.get("variant") != str(variant):
             raise ValueError(f"its variant is {clipped(repr(record.get('variant')))}")
@@ -46,7 +46,7 @@ def read_measured(path: Path) -> dict[str, Any]:
     Raises:
         PolicyError: if the file holds no such evaluations.
     """
-    with naming(path):
+    with errors_of(path):
         measured = read_object(path)
         check_measured(measured)
     return measured
@@ -81,7 +81,7 @@ def read_object(path: Path) -> dict[str, Any]:
 
 
 @contextmanager
-def naming(path: Path, what: str = "a training record") -> Iterator[None]:
+def errors_of(path: Path, what: str = "a training record") -> Iterator[None]:
     """Turn what a wrong record raises into a PolicyError that names the file and says what it is not."""
     try:
         yield

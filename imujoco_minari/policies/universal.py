@@ -21,7 +21,7 @@ from imujoco_minari.errors import PolicyError, PolicyNotFoundError
 from imujoco_minari.policies.actors import Actor
 from imujoco_minari.policies.doors import Array
 from imujoco_minari.policies.files import read_actor
-from imujoco_minari.policies.records import check_measured, naming, read_object
+from imujoco_minari.policies.records import check_measured, errors_of, read_object
 from imujoco_minari.variants import Variant, specification
 from imujoco_minari.variants.context import parameters
 
@@ -175,7 +175,7 @@ def universal_of_record(actor: Actor, record: Mapping[str, Any]) -> UniversalPol
 
 @lru_cache(maxsize=8)
 def _read(weights: Path, path: Path, *changed: int) -> UniversalPolicy:
-    with naming(path, "the record of a universal policy"):
+    with errors_of(path, "the record of a universal policy"):
         record = read_object(path)
         if not isinstance(record["measured"], dict) or not isinstance(record["algorithm"], str):
             raise ValueError("measured must be a table and algorithm a text")

@@ -101,8 +101,7 @@ def hyperparameters(robot: str, start: str, **changes: Any) -> Hyperparameters:
         60000
     """
     table, own = _read_table(), specification(robot).training
-    layers = (table["all"], table[start], own.get(start, {}), changes)
-    values = {key: value for layer in layers for key, value in layer.items()}
+    values = {**table["all"], **table[start], **own.get(start, {}), **changes}
     known = {field.name for field in fields(Hyperparameters)}
     unknown = sorted(set(values) - known)
     if unknown:
