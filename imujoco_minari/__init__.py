@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from imujoco_minari.loading import Sampler, arrays, few_shot
     from imujoco_minari.policies import load_policy
     from imujoco_minari.policies.evaluation import evaluate
-    from imujoco_minari.policies.normalized import normalized_score
+    from imujoco_minari.policies.references import normalized_score
     from imujoco_minari.publishing.combiner import combine_datasets
     from imujoco_minari.publishing.on_demand import load_dataset
     from imujoco_minari.publishing.publisher import publish
@@ -69,7 +69,7 @@ _LAZY = {
     "held_out": "variants.splits",
     "load_dataset": "publishing.on_demand",
     "load_policy": "policies",
-    "normalized_score": "policies.normalized",
+    "normalized_score": "policies.references",
     "off_dynamics": "variants.off_dynamics",
     "off_dynamics_names": "variants.off_dynamics",
     "publish": "publishing.publisher",

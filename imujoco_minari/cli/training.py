@@ -26,10 +26,9 @@ from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS, Variant, bases, ca
 
 if TYPE_CHECKING:
     from imujoco_minari.publishing.outcome import Published
-    from imujoco_minari.training.plan import Plan
     from imujoco_minari.training.run import OnInterval, Progress
     from imujoco_minari.training.sweep import Trained
-    from imujoco_minari.training.task import Task
+    from imujoco_minari.training.task import Plan, Task
 
 policy = typer.Typer(help="Use a policy in other libraries.")
 app.add_typer(policy, name="policy")
@@ -90,7 +89,7 @@ def train_variants(
     `imujoco train hopper-base --record-replay`
     """
     from imujoco_minari.training.hyperparameters import hyperparameter_changes
-    from imujoco_minari.training.plan import Plan, default_state
+    from imujoco_minari.training.task import Plan, default_state
 
     if universal and (robot is None or variants or category):
         raise typer.BadParameter("--universal trains one policy a robot: give --robot ROBOT and no variants")

@@ -7,7 +7,6 @@ change.
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import Any
 
 from imujoco_minari.envs.registration import (
@@ -37,15 +36,13 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     # The environments import MuJoCo, which takes longer than the rest of the package.
     if name in ("CollectionEnv", "RandomisedEnv"):
-        module = import_module(f"{__name__}.{'drawing' if name == 'CollectionEnv' else 'randomised'}")
-        return getattr(module, name)
-    if name.endswith("Env"):
-        from imujoco_minari.envs import robots
+        from imujoco_minari.envs import drawing
 
-        if name in vars(robots):
-            return getattr(robots, name)
-        if name.endswith("VariantEnv"):
-            return robots.variant_class(name.removesuffix("VariantEnv"))
+        return getattr(drawing, name)
+    if name.endswith("VariantEnv"):
+        from imujoco_minari.envs.robots import variant_class
+
+        return variant_class(name.removesuffix("VariantEnv"))
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

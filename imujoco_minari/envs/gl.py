@@ -63,11 +63,7 @@ def backend() -> str:
 
 
 def new_context(width: int, height: int) -> Any:
-    """Make an off-screen OpenGL context and make it current.
-
-    Args:
-        width: width of the pictures, in pixels.
-        height: height of the pictures, in pixels.
+    """Make an off-screen OpenGL context for pictures of this size (pixels), and make it current.
 
     Raises:
         RenderingError: if no context can be made.

@@ -49,22 +49,15 @@ def variant_model(variant: Variant) -> mujoco.MjModel:
 
     It equals ``compile_mjcf(canonical_mjcf(variant))`` in every byte, but writes and reads no text. That
     takes a third of the time, which counts where each episode has another variant.
-
-    Raises:
-        ModelError: when MuJoCo cannot compile the edited model.
     """
     return copy(_edited(variant).model)
 
 
 def model_text(variant: Variant, mjcf: str | None = None) -> str:
-    """Return the MJCF text that an environment of ``variant`` runs.
-
-    Args:
-        variant: ours, with the canonical text, or a variant of the original archive.
-        mjcf: the text of the latter, which does not follow from its id.
+    """Return the MJCF text that an environment of ``variant`` runs: ours, or ``mjcf`` for the archive's.
 
     Raises:
-        ModelError: when a variant of the archive has no text.
+        ModelError: when a variant of the original archive has no text.
     """
     if not isinstance(variant, OriginalVariant):
         return canonical_mjcf(variant)

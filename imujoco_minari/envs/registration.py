@@ -43,9 +43,6 @@ def max_episode_steps(robot: str) -> int | None:
     """Return the number of steps after which an episode of a robot is truncated; None if no number does.
 
     The robot's page states it, or else it is that of Gymnasium's environment.
-
-    Raises:
-        VariantError: when there is no such robot.
     """
     page = specification(robot)
     stock = registry.get(page.environment)
@@ -70,12 +67,8 @@ def environment_spec(variant: Variant | str, mjcf: str | None = None) -> EnvSpec
         raise VariantError(f"{variant} is a variant of the original archive and needs the text of its model")
     if not isinstance(variant, OriginalVariant) and mjcf is not None:
         raise VariantError(f"the model of {variant} follows from its id, so it takes no text of a model")
-    return EnvSpec(
-        id=variant.environment_id,
-        entry_point=_entry_point(variant.robot),
-        max_episode_steps=max_episode_steps(variant.robot),
-        kwargs={"variant": str(variant)} | ({} if mjcf is None else {"mjcf": mjcf}) | _page(variant.robot),
-    )
+    kwargs = {"variant": str(variant)} | ({} if mjcf is None else {"mjcf": mjcf}) | _page(variant.robot)
+    return _spec(variant.environment_id, _entry_point(variant.robot), variant.robot, kwargs)
 
 
 def collection_spec(
@@ -94,12 +87,7 @@ def collection_spec(
         kwargs: dict[str, Any] = {"models": {variant: models[variant] for variant in ids}}
     else:
         kwargs = {"variants": ids, **_page(robot)}
-    return EnvSpec(
-        id=f"{ORIGINAL if models else NAMESPACE}/{name}-v0",
-        entry_point=_COLLECTION,
-        max_episode_steps=max_episode_steps(robot),
-        kwargs=kwargs,
-    )
+    return _spec(f"{ORIGINAL if models else NAMESPACE}/{name}-v0", _COLLECTION, robot, kwargs)
 
 
 def randomised_spec(ranges: Ranges | str) -> EnvSpec:
@@ -112,21 +100,14 @@ def randomised_spec(ranges: Ranges | str) -> EnvSpec:
     if isinstance(ranges, Ranges):
         bounds = {name: list(pair) for name, pair in ranges.ranges.items()}
         robot, arguments = ranges.robot, {"ranges": bounds, "distribution": ranges.distribution}
-    return EnvSpec(
-        id=f"{NAMESPACE}/{robot}-{RANDOMISED}-v0",
-        entry_point=_RANDOMISED,
-        max_episode_steps=max_episode_steps(robot),
-        kwargs={"robot": robot, **arguments, **_page(robot)},
-    )
+    kwargs = {"robot": robot, **arguments, **_page(robot)}
+    return _spec(f"{NAMESPACE}/{robot}-{RANDOMISED}-v0", _RANDOMISED, robot, kwargs)
 
 
 def dataset_spec(name: str, variants: Sequence[Variant | str], models: Mapping[str, str]) -> EnvSpec:
     """Return the Gymnasium spec of a dataset with episodes of ``variants``: of the one, or of a collection.
 
-    Args:
-        name: of the collection, without namespace and version.
-        variants: each once.
-        models: what :func:`stored_models` returns.
+    ``name`` is that of the collection, and ``models`` is what :func:`stored_models` returns.
 
     Raises:
         VariantError: when a variant of the original archive has no model, or another variant has one.
@@ -207,7 +188,7 @@ def randomised(
         distribution: ``uniform`` draws the percent uniformly; ``log-uniform`` draws the logarithm of the
             factor 1 + percent / 100 uniformly.
         **kwargs: what ``gymnasium.make`` takes, and ``parameters`` and ``observe_context`` of
-            :class:`~imujoco_minari.envs.randomised.RandomisedEnv`.
+            :class:`~imujoco_minari.envs.drawing.RandomisedEnv`.
 
     Raises:
         VariantError: if there is no such robot or parameter, or a parameter cannot have such a percent.
@@ -295,6 +276,10 @@ def _register_robot(robot: str) -> None:
     specs += [collection_spec(f"{robot}-{name or 'all'}", variants) for name, variants in listed if variants]
     for spec in (*specs, randomised_spec(robot)):
         registry.setdefault(spec.id, spec)
+
+
+def _spec(name: str, entry_point: str, robot: str, kwargs: dict[str, Any]) -> EnvSpec:
+    return EnvSpec(name, entry_point, max_episode_steps=max_episode_steps(robot), kwargs=kwargs)
 
 
 def _page(robot: str) -> dict[str, Any]:

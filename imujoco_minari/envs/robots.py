@@ -213,19 +213,15 @@ class Walker2dVariantEnv(ClippedVelocity, QuickVariantEnv, Walker2dEnv):
 
 @cache
 def variant_class(title: str) -> type[VariantEnv]:
-    """Return the class of the variants of a Gymnasium environment.
+    """Return the class of the variants of a Gymnasium environment, of which ``title`` is the name, as in Ant.
 
     It is one of the quicker classes of this module, or else Gymnasium's class with the model of a variant.
-
-    Args:
-        title: Gymnasium's name of the robot, as in ``Ant``.
 
     Raises:
         CatalogueError: when Gymnasium has no such MuJoCo environment of version 5.
     """
-    own = globals().get(f"{title}VariantEnv")
-    if own is not None:
-        return cast(type[VariantEnv], own)
+    if f"{title}VariantEnv" in globals():
+        return cast(type[VariantEnv], globals()[f"{title}VariantEnv"])
     environment = f"{title}-v5"
     spec = gym.registry.get(environment)
     if spec is None or not str(spec.entry_point).startswith("gymnasium.envs.mujoco"):

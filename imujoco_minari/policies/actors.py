@@ -18,7 +18,7 @@ from imujoco_minari.errors import PolicyError, clipped
 from imujoco_minari.policies.doors import Array, Doors, given
 from imujoco_minari.variants import known_robots, specification
 
-_LOG_STD_RANGE = (-20.0, 2.0)
+LOG_STD_RANGE = (-20.0, 2.0)
 _ACTIVATIONS = ("ReLU", "Tanh", "ELU", "SiLU")
 
 # OpenBLAS uses several threads for a matrix-vector product of more than 9216 elements. The last bits of
@@ -34,13 +34,7 @@ _ROWS = 8
 
 
 class _Layer(NamedTuple):
-    """An affine layer.
-
-    Attributes:
-        weight: of shape (in, out).
-        blocks: the weight of a large layer in blocks, of shape (blocks, in, out / blocks); else None.
-        bias: of shape (out,).
-    """
+    """An affine layer: weight (in, out), and that of a large layer in blocks (blocks, in, out / blocks)."""
 
     weight: Array
     blocks: Array | None
@@ -118,7 +112,7 @@ class Actor(Doors):
     @property
     def hidden_sizes(self) -> list[int]:
         """Number of units in each hidden layer."""
-        return [layer.bias.size for layer in self._hidden]
+        return [layer.bias.size for layer in self._layers[0]]
 
     @cached_property
     def sha256(self) -> str:
@@ -147,9 +141,10 @@ class Actor(Doors):
             latent = self._latent(observation)
         except (ValueError, AttributeError):  # a check before each action would take 5 % of its time
             latent = self._latent(self._fitting(observation))
-        mean = _affine(latent, self._mean)
+        _, means, deviations = self._layers
+        mean = _affine(latent, means)
         if not self.deterministic:
-            log_std = np.clip(_affine(latent, self._log_std), *_LOG_STD_RANGE)
+            log_std = np.clip(_affine(latent, deviations), *LOG_STD_RANGE)
             mean = mean + np.exp(log_std) * given(rng).standard_normal(mean.shape, dtype=np.float32)
         return self._scale(np.tanh(mean))
 
@@ -159,12 +154,12 @@ class Actor(Doors):
         Args:
             observation: of shape ``(n,)``, or a batch of shape ``(b, n)``.
         """
-        latent = self._latent(observation)
-        return _affine(latent, self._mean), np.clip(_affine(latent, self._log_std), *_LOG_STD_RANGE)
+        latent, (_, means, deviations) = self._latent(observation), self._layers
+        return _affine(latent, means), np.clip(_affine(latent, deviations), *LOG_STD_RANGE)
 
     def _latent(self, observation: Array) -> Array:
         latent = observation.astype(np.float32)
-        for layer in self._hidden:
+        for layer in self._layers[0]:
             latent = self._activate(_affine(latent, layer))
         return latent
 
@@ -184,11 +179,12 @@ class Actor(Doors):
         """
         latent = np.zeros((LANES, self.observation_size), np.float32)
         latent[: len(observations)] = self._fitting(observations)
-        for layer in self._hidden:
+        hidden, means, deviations = self._layers
+        for layer in hidden:
             latent = self._activate(_affine_together(latent, layer))
-        mean = _affine_together(latent, self._mean)
+        mean = _affine_together(latent, means)
         if not self.deterministic:
-            log_std = np.clip(_affine_together(latent, self._log_std), *_LOG_STD_RANGE)
+            log_std = np.clip(_affine_together(latent, deviations), *LOG_STD_RANGE)
             for row, rng in enumerate(rngs):
                 mean[row] += np.exp(log_std[row]) * rng.standard_normal(mean.shape[1], dtype=np.float32)
         return self._scale(np.tanh(mean[: len(observations)]))
@@ -222,28 +218,19 @@ class Actor(Doors):
             )
 
     @cached_property
-    def _hidden(self) -> list[_Layer]:
-        return [self._layer(f"latent_pi.{2 * i}") for i in range(_depth(self.weights))]
-
-    @cached_property
-    def _mean(self) -> _Layer:
-        return self._layer("mu")
-
-    @cached_property
-    def _log_std(self) -> _Layer:
-        return self._layer("log_std")
+    def _layers(self) -> tuple[list[_Layer], _Layer, _Layer]:
+        """The hidden layers, the one of the means, and the one of the log deviations."""
+        hidden = [self._layer(f"latent_pi.{2 * i}") for i in range(depth(self.weights))]
+        return hidden, self._layer("mu"), self._layer("log_std")
 
     def _layer(self, name: str) -> _Layer:
-        weight = self.weights[f"{name}.weight"].astype(np.float32)
+        weight, bias = (self.weights[f"{name}.{part}"].astype(np.float32) for part in ("weight", "bias"))
         size, inputs = weight.shape
-        blocks = next(n for n in range(1, size + 1) if size % n == 0 and inputs * size // n <= _BLOCK)
-        return _Layer(
-            np.ascontiguousarray(weight.T),
-            None
-            if blocks == 1
-            else np.ascontiguousarray(weight.reshape(blocks, size // blocks, inputs).transpose(0, 2, 1)),
-            self.weights[f"{name}.bias"].astype(np.float32),
-        )
+        count = next(n for n in range(1, size + 1) if size % n == 0 and inputs * size // n <= _BLOCK)
+        blocks = None
+        if count > 1:
+            blocks = np.ascontiguousarray(weight.reshape(count, size // count, inputs).transpose(0, 2, 1))
+        return _Layer(np.ascontiguousarray(weight.T), blocks, bias)
 
     def _activate(self, x: Array) -> Array:
         if self.activation == "ReLU":
@@ -283,13 +270,14 @@ def _affine_together(x: Array, layer: _Layer) -> Array:
     return y
 
 
-def _depth(weights: Mapping[str, Array]) -> int:
+def depth(weights: Mapping[str, Array]) -> int:
+    """Return the number of an actor's hidden layers."""
     return sum(name.startswith("latent_pi.") and name.endswith(".weight") for name in weights)
 
 
 def _check_shapes(weights: Mapping[str, Array]) -> None:
     """Raise a :class:`PolicyError` unless the layers chain from observation to mean and deviation."""
-    names = [f"latent_pi.{2 * i}" for i in range(_depth(weights))]
+    names = [f"latent_pi.{2 * i}" for i in range(depth(weights))]
     if not names:
         raise PolicyError("the actor has no hidden layer")
     expected = {f"{name}.{part}" for name in (*names, "mu", "log_std") for part in ("weight", "bias")}

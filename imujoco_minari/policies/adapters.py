@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import inspect
+import sys
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -37,15 +37,17 @@ def batch_act(policy: Any) -> BatchAct:
     if callable(getattr(policy, "act_together", None)):
         together: BatchAct = policy.act_together
         return together
-    is_module = _is_torch_module(policy)
+    # A module of torch exists only where torch is imported, which takes seconds.
+    torch = sys.modules.get("torch")
+    is_module = torch is not None and isinstance(policy, torch.nn.Module)
     if not is_module and callable(getattr(policy, "act", None)):
-        return partial(_act_each, policy.act)
+        return lambda observations, rngs: [policy.act(*each) for each in zip(observations, rngs, strict=True)]
     if callable(getattr(policy, "predict", None)):
-        return partial(_predict, policy.predict)
+        return lambda observations, rngs: _predict(policy.predict, observations)
     if is_module:
-        return partial(_forward, policy)
+        return lambda observations, rngs: _forward(policy, observations)
     if callable(policy):
-        return partial(_call_each, policy)
+        return lambda observations, rngs: [policy(each) for each in observations]
     hint = "; load a file with load_policy(variant, path=...)" if isinstance(policy, str) else ""
     raise PolicyError(
         "a policy is a function of the observation, a torch module, or an object with act() or predict(), "
@@ -84,21 +86,7 @@ def checked(act: BatchAct, shape: tuple[int, ...]) -> BatchAct:
     return call
 
 
-def _act_each(
-    act: Callable[[Array, np.random.Generator], Any],
-    observations: Array,
-    rngs: Sequence[np.random.Generator],
-) -> list[Any]:
-    return [act(row, rng) for row, rng in zip(observations, rngs, strict=True)]
-
-
-def _call_each(
-    function: Callable[[Array], Any], observations: Array, rngs: Sequence[np.random.Generator]
-) -> list[Any]:
-    return [function(row) for row in observations]
-
-
-def _predict(predict: Callable[..., Any], observations: Array, rngs: Sequence[np.random.Generator]) -> Any:
+def _predict(predict: Callable[..., Any], observations: Array) -> Any:
     if "deterministic" not in inspect.signature(predict).parameters:
         return predict(observations)
     actions, state = predict(observations, deterministic=True)
@@ -107,15 +95,7 @@ def _predict(predict: Callable[..., Any], observations: Array, rngs: Sequence[np
     return actions
 
 
-def _is_torch_module(policy: Any) -> bool:
-    # By name, so that torch is not imported for policies that do not need it.
-    return any(
-        f"{kind.__module__}.{kind.__name__}" == "torch.nn.modules.module.Module"
-        for kind in type(policy).__mro__
-    )
-
-
-def _forward(module: Any, observations: Array, rngs: Sequence[np.random.Generator]) -> Any:
+def _forward(module: Any, observations: Array) -> Any:
     import torch
 
     parameter = next(module.parameters(), torch.empty(0))

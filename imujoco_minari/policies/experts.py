@@ -46,8 +46,8 @@ def expert_actor(variant: Variant, *, deterministic: bool = True) -> Actor:
                 f"no expert policy exists for {variant}: train one with `imujoco train {variant}`, or give "
                 "one with --policy FILE; `imujoco policies` lists those that exist"
             )
-        told = replace(universal, deterministic=deterministic)
-        return replace(told.fold(variant), record=expert_record(variant))
+        folded = universal.fold(variant)
+        return replace(folded, deterministic=deterministic, record=expert_record(variant))
     path = find_policy_file(f"{variant}.safetensors")
     if path is None:
         raise PolicyNotFoundError(f"{variant} has a training record, but {variant}.safetensors is missing")
@@ -64,9 +64,7 @@ def expert_record(variant: Variant, folder: Path | None = None) -> Mapping[str, 
     the universal policy and what it was told, and the evaluations that are known:
     :func:`~imujoco_minari.policies.references.measured_record` makes them.
 
-    Args:
-        variant: the variant.
-        folder: folder to search before the package's; None means :func:`policies_folder`.
+    ``folder`` is searched in place of :func:`policies_folder`, before the package's.
 
     Raises:
         PolicyError: if the record cannot be read.
@@ -83,9 +81,7 @@ def expert_record(variant: Variant, folder: Path | None = None) -> Mapping[str, 
 def own_record(variant: Variant, folder: Path | None = None) -> Mapping[str, Any]:
     """Return the training record of the expert that was trained on a variant; empty when there is none.
 
-    Args:
-        variant: the variant.
-        folder: folder to search before the package's; None means :func:`policies_folder`.
+    ``folder`` is searched in place of :func:`policies_folder`, before the package's.
 
     Raises:
         PolicyError: if the record cannot be read.
@@ -117,9 +113,7 @@ def is_folded(record: Mapping[str, Any]) -> bool:
 def universal_policy(robot: str, folder: Path | None = None) -> UniversalPolicy | None:
     """Return the universal policy of a robot, or None when it has none.
 
-    Args:
-        robot: the robot.
-        folder: folder to search before the package's; None means :func:`policies_folder`.
+    ``folder`` is searched in place of :func:`policies_folder`, before the package's.
 
     Raises:
         PolicyError: if its files are damaged.
@@ -152,9 +146,7 @@ def _folded_record(variant: Variant, folder: Path | None = None) -> dict[str, An
 
 def keep_measured(variant: Variant, measured: Mapping[str, Any]) -> None:
     """Keep the evaluations of an expert, beside the user's policies, for :func:`expert_record`."""
-    path = _measured_file(variant)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_json(path, dict(measured))
+    write_json(_measured_file(variant), dict(measured))
 
 
 def _measured_file(variant: Variant) -> Path:
@@ -164,8 +156,7 @@ def _measured_file(variant: Variant) -> Path:
 def expert_variants(folder: Path | None = None) -> tuple[Variant, ...]:
     """Return the variants that have an expert of their own, of the user or of the package, sorted.
 
-    Args:
-        folder: folder to search before the package's; None means :func:`policies_folder`.
+    ``folder`` is searched in place of :func:`policies_folder`.
     """
     found = []
     for name in policy_files("*-*.json", folder):
@@ -178,9 +169,7 @@ def expert_variants(folder: Path | None = None) -> tuple[Variant, ...]:
 def agent_file(name: Variant | str, folder: Path | None = None) -> Path | None:
     """Return the file of an agent (actor, critics, optimiser) that training can start from, or None.
 
-    Args:
-        name: a base, or ``<robot>-universal`` for the critics of the universal policy.
-        folder: folder to search before the package's; None means :func:`policies_folder`.
+    ``name`` is a base, or ``<robot>-universal`` for the critics of the universal policy.
     """
     return find_policy_file(f"{name}.agent.safetensors", folder)
 
@@ -207,9 +196,7 @@ def policy_files(pattern: str, folder: Path | None = None) -> set[str]:
 
 
 def find_policy_file(name: str, folder: Path | None = None) -> Path | None:
-    """Return the path of a file in ``folder`` or in the package, or None.
-
-    A ``folder`` of None means :func:`policies_folder`.
+    """Return the path of a file in ``folder`` (or :func:`policies_folder`) or in the package, or None.
 
     Raises:
         PolicyError: if something else has this name, for example a folder or a named pipe.

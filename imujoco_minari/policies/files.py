@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from imujoco_minari.limits import run_limited
 from imujoco_minari.policies.actors import Actor
 
 # The zip of SAC's default policy has 3 MB, its actor 0.3 MB.
-MAX_ZIP_BYTES, MAX_SAFETENSORS_BYTES = 2**28, 2**26
+_MAX_ZIP_BYTES, _MAX_SAFETENSORS_BYTES = 2**28, 2**26
 # Memory and processor time for reading a zip; one of the largest size needs less.
 MAX_MEMORY_BYTES, MAX_SECONDS = 2**30, 5
 
@@ -49,31 +48,20 @@ def read_actor(path: str | Path, *, deterministic: bool = True, algorithm: str =
     if not path.is_file():
         raise PolicyNotFoundError(f"no policy file at {path}")
     is_safetensors = path.suffix == ".safetensors"
-    limit = MAX_SAFETENSORS_BYTES if is_safetensors else MAX_ZIP_BYTES
+    limit = _MAX_SAFETENSORS_BYTES if is_safetensors else _MAX_ZIP_BYTES
     if (size := path.stat().st_size) > limit:
         raise PolicyError(f"{path} has {size} bytes; the limit is {limit}")
     if is_safetensors:
-        return actor_of_bytes(path.read_bytes(), str(path), algorithm, deterministic, {})
+        try:
+            return Actor(_weights(path.read_bytes()), algorithm, deterministic)
+        except PolicyError as error:
+            raise PolicyError(f"{path}: holds no actor: {error}") from None
     with path.open("rb") as file:
         if file.read(len(_ZIP_MAGIC)) != _ZIP_MAGIC:
             raise PolicyError(
                 f"{path} is no policy; valid: a Stable-Baselines3 SAC .zip, or an actor's .safetensors"
             )
     return _read_zip(path, deterministic)
-
-
-def actor_of_bytes(
-    data: bytes, name: str, algorithm: str, deterministic: bool, record: Mapping[str, Any]
-) -> Actor:
-    """Return the actor in the bytes of a ``.safetensors`` file called ``name``.
-
-    Raises:
-        PolicyError: if they hold none.
-    """
-    try:
-        return Actor(_weights(data), algorithm, deterministic, record=record)
-    except PolicyError as error:
-        raise PolicyError(f"{name}: holds no actor: {error}") from None
 
 
 def _weights(data: bytes) -> dict[str, Any]:

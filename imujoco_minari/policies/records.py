@@ -15,7 +15,7 @@ from imujoco_minari.variants import Variant
 # A record with a ladder and its history has 7 kB.
 _MAX_BYTES = 2**22
 _MAX_HISTORY = 100
-_EVALUATION = ("episodes", "return_mean", "return_std", "return_min", "return_max", "length_mean")
+EVALUATION = ("episodes", "return_mean", "return_std", "return_min", "return_max", "length_mean")
 
 
 def read_own_record(path: Path, variant: Variant) -> dict[str, Any]:
@@ -24,8 +24,8 @@ def read_own_record(path: Path, variant: Variant) -> dict[str, Any]:
     Raises:
         PolicyError: if the file holds no such record.
     """
-    with _named(path):
-        record = _read_object(path)
+    with errors_of(path):
+        record = read_object(path)
         if record.get("variant") != str(variant):
             raise ValueError(f"its variant is {clipped(repr(record.get('variant')))}")
         if "universal_sha256" in record:
@@ -46,8 +46,8 @@ def read_measured(path: Path) -> dict[str, Any]:
     Raises:
         PolicyError: if the file holds no such evaluations.
     """
-    with _named(path):
-        measured = _read_object(path)
+    with errors_of(path):
+        measured = read_object(path)
         check_measured(measured)
     return measured
 
@@ -70,7 +70,8 @@ def check_measured(measured: Any) -> None:
             Variant.parse(rung["run"])
 
 
-def _read_object(path: Path) -> dict[str, Any]:
+def read_object(path: Path) -> dict[str, Any]:
+    """Return the JSON object in a file."""
     if (size := path.stat().st_size) > _MAX_BYTES:
         raise ValueError(f"it has {size} bytes; the limit is {_MAX_BYTES}")
     record = json.loads(path.read_text("utf-8"))
@@ -80,21 +81,21 @@ def _read_object(path: Path) -> dict[str, Any]:
 
 
 @contextmanager
-def _named(path: Path) -> Iterator[None]:
-    """Turn what a wrong record raises into a PolicyError that names the file."""
+def errors_of(path: Path, what: str = "a training record") -> Iterator[None]:
+    """Turn what a wrong record raises into a PolicyError that names the file and says what it is not."""
     try:
         yield
     except KeyError as error:
-        raise PolicyError(f"{path}: not a training record: {error} is missing") from None
+        raise PolicyError(f"{path}: not {what}: {error} is missing") from None
     except (AttributeError, OSError, OverflowError, RecursionError, TypeError, ValueError) as error:
         reason = str(error) if isinstance(error, ValueError) else repr(error)
-        raise PolicyError(f"{path}: not a training record: {reason[:200]}") from None
+        raise PolicyError(f"{path}: not {what}: {reason[:200]}") from None
 
 
 def _check_evaluation(evaluation: Any, name: str) -> None:
     if not isinstance(evaluation, Mapping):
         raise ValueError(f"{name} must be a table")
-    for key in _EVALUATION:
+    for key in EVALUATION:
         _check_number(evaluation[key], f"{name}/{key}")
     if evaluation["episodes"] < 1:
         raise ValueError(f"{name}/episodes must be 1 or more")

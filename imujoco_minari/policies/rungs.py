@@ -7,8 +7,7 @@ on the variant. ``run`` names the variant whose training saved it; without ``run
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from imujoco_minari.errors import PolicyNotFoundError
 from imujoco_minari.policies.actors import Actor
@@ -17,7 +16,6 @@ from imujoco_minari.policies.files import read_actor
 from imujoco_minari.variants import Variant
 
 Rung = Mapping[str, Any]
-_Rung = TypeVar("_Rung", bound=Rung)
 
 # Medium is the rung whose return is nearest to this share of the expert's. It should be within the range.
 # The training run of medium-replay ends at the first actor that reaches the share.
@@ -40,7 +38,7 @@ def rungs_of_robot(base: Variant) -> list[dict[str, Any]]:
     return sorted(rungs, key=lambda rung: (rung.get("run", ""), rung["steps"]))
 
 
-def medium_rung(rungs: Sequence[_Rung], expert_return: float) -> _Rung:
+def medium_rung(rungs: Sequence[Rung], expert_return: float) -> Rung:
     """Return the rung whose return is nearest to 0.42 of the expert's."""
     return min(rungs, key=lambda rung: abs(mean_return(rung) - MEDIUM_SHARE * expert_return))
 
@@ -82,26 +80,17 @@ def rung_file(run: Variant | str, steps: int) -> str:
     return f"{run}.rung-{steps}.safetensors"
 
 
-def read_rung(
-    variant: Variant, rung: Rung, folder: Path | None = None, *, deterministic: bool = True
-) -> Actor:
+def read_rung(variant: Variant, rung: Rung, *, deterministic: bool = True) -> Actor:
     """Return the actor of a rung in the ladder of ``variant``.
-
-    Args:
-        variant: the variant.
-        rung: an entry of its ladder.
-        folder: folder to search before the package's; None for the user's policies.
-        deterministic: whether the actor takes the mode of its distribution, or a sample.
 
     Raises:
         PolicyNotFoundError: if the file of the rung is missing.
-        PolicyError: if the file holds no actor.
     """
     name = rung_file(rung.get("run", variant.base), rung["steps"])
-    path = find_policy_file(name, folder)
+    path = find_policy_file(name)
     if path is None:
         raise PolicyNotFoundError(f"the training record of {variant} names {name}, which is missing")
-    algorithm = own_record(variant, folder).get("algorithm", "SAC")
+    algorithm = own_record(variant).get("algorithm", "SAC")
     return read_actor(path, deterministic=deterministic, algorithm=algorithm).for_robot(variant.robot)
 
 

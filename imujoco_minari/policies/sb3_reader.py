@@ -41,7 +41,9 @@ def read_zip(path: str) -> bytes:
     """
     try:
         with zipfile.ZipFile(path) as archive:
-            settings = _json_object(_entry(archive, "data", MAX_DATA_BYTES))
+            settings = json.loads(_entry(archive, "data", MAX_DATA_BYTES))
+            if not isinstance(settings, dict):
+                raise PolicyError("its data is no JSON object")
             stated = {"algorithm": _algorithm(settings), "activation": _activation(settings)}
             _check_spaces(settings)
             weights = actor_weights(_entry(archive, "policy.pth", MAX_WEIGHTS_BYTES))
@@ -98,13 +100,6 @@ def _entry(archive: zipfile.ZipFile, name: str, limit: int) -> bytes:
     if info.file_size > limit:
         raise PolicyError(f"{name} would unpack to {info.file_size} bytes; the limit is {limit}")
     return archive.read(info)
-
-
-def _json_object(raw: bytes) -> Settings:
-    value = json.loads(raw)
-    if not isinstance(value, dict):
-        raise PolicyError("its data is no JSON object")
-    return value
 
 
 def _algorithm(settings: Settings) -> str:

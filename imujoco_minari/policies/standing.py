@@ -64,12 +64,7 @@ def standings(
     categories: Sequence[str] = (BASE, *CATEGORIES),
     folder: Path | None = None,
 ) -> list[Standing]:
-    """Return the standing of each robot and category.
-
-    Args:
-        robots: the robots.
-        categories: the categories; ``base`` is one of them.
-        folder: folder to search for records; see :func:`~imujoco_minari.policies.expert_record`.
+    """Return the standing of each robot and category, of which ``base`` is one.
 
     A record that cannot be read is left out with a warning.
     """

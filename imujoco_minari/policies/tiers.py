@@ -8,7 +8,7 @@ policy is trained, so no policy of this module makes them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -18,13 +18,7 @@ from imujoco_minari.policies.actors import Policy
 from imujoco_minari.policies.experts import expert_actor, universal_policy
 from imujoco_minari.policies.files import read_actor
 from imujoco_minari.policies.references import ladder, measured_record
-from imujoco_minari.policies.rungs import (
-    RANKED_SHARES,
-    mean_return,
-    medium_rung,
-    ranked_rungs,
-    read_rung,
-)
+from imujoco_minari.policies.rungs import RANKED_SHARES, mean_return, medium_rung, ranked_rungs, read_rung
 from imujoco_minari.policies.uniform import random_policy
 from imujoco_minari.policies.universal import UniversalPolicy
 from imujoco_minari.storage.missing import making
@@ -38,6 +32,8 @@ LARGE = "-large"
 LARGE_TIERS = (MEDIUM + LARGE, MEDIUM_EXPERT + LARGE)
 # Tiers that are recorded while a policy is trained.
 RECORDED = (MEDIUM_REPLAY, REPLAY)
+
+_ONE_POLICY = (EXPERT, EXPERT_STOCHASTIC, MEDIUM, RANDOM)
 
 # A policy, and the attributes of its episodes.
 _Maker = tuple[Policy, dict[str, Any]]
@@ -137,42 +133,31 @@ def range_parts(
 def _makers(variant: Variant, tier: str, path: str | Path | None, stochastic: bool) -> list[_Maker]:
     """Return the policies that make a dataset; each makes the same number of episodes."""
     if path is not None:
-        actor = read_actor(path, deterministic=not stochastic).for_robot(variant.robot)
-        return [(actor, {})]
+        return [(read_actor(path, deterministic=not stochastic).for_robot(variant.robot), {})]
     if tier in RECORDED:
         raise PolicyNotFoundError(
             f"no single policy makes the tier {tier}: it is recorded while a policy is trained, "
             f"with `{making(variant.dataset_id(tier))}`"
         )
     tier = tier.removesuffix(LARGE) if tier in LARGE_TIERS else tier
-    if not isinstance(tier, str) or tier not in _MAKERS:
+    if tier not in TIERS:
         near = suggestion(tier, TIERS) if isinstance(tier, str) else ""
         raise PolicyNotFoundError(
             f"no policy makes the tier {tier!r}{near}; "
             f"valid: {', '.join((*TIERS, *LARGE_TIERS))}, or any name with --policy FILE"
         )
-    return _MAKERS[tier](variant, not stochastic)
-
-
-def _expert(variant: Variant, deterministic: bool) -> list[_Maker]:
-    return [(expert_actor(variant, deterministic=deterministic), {})]
-
-
-def _expert_stochastic(variant: Variant, deterministic: bool) -> list[_Maker]:
-    return _expert(variant, deterministic=False)
-
-
-def _medium(variant: Variant, deterministic: bool) -> list[_Maker]:
+    deterministic = not stochastic and tier != EXPERT_STOCHASTIC
+    if tier == RANDOM:
+        return [(random_policy(variant.robot), {})]
+    if tier in (EXPERT, EXPERT_STOCHASTIC):
+        return [(expert_actor(variant, deterministic=deterministic), {})]
+    if tier == RANKED:
+        return _ranked(variant, deterministic)
     rung = medium_rung(ladder(variant), mean_return(measured_record(variant)))
-    return [(read_rung(variant, rung, deterministic=deterministic), {"rung": int(rung["steps"])})]
-
-
-def _random(variant: Variant, deterministic: bool) -> list[_Maker]:
-    return [(random_policy(variant.robot), {})]
-
-
-def _medium_expert(variant: Variant, deterministic: bool) -> list[_Maker]:
-    ((medium, attributes),) = _medium(variant, deterministic)
+    medium = read_rung(variant, rung, deterministic=deterministic)
+    attributes: dict[str, Any] = {"rung": int(rung["steps"])}
+    if tier == MEDIUM:
+        return [(medium, attributes)]
     expert = expert_actor(variant, deterministic=deterministic)
     return [(medium, attributes | {"part": MEDIUM}), (expert, {"part": EXPERT})]
 
@@ -192,14 +177,3 @@ def _ranked(variant: Variant, deterministic: bool) -> list[_Maker]:
         attributes = {"rank": rank, "policy_return": mean_return(rung), "rung": int(rung["steps"])}
         ranked.append((read_rung(variant, rung, deterministic=deterministic), attributes))
     return ranked
-
-
-_MAKERS: dict[str, Callable[[Variant, bool], list[_Maker]]] = {
-    EXPERT: _expert,
-    EXPERT_STOCHASTIC: _expert_stochastic,
-    MEDIUM: _medium,
-    RANDOM: _random,
-    MEDIUM_EXPERT: _medium_expert,
-    RANKED: _ranked,
-}
-_ONE_POLICY = (EXPERT, EXPERT_STOCHASTIC, MEDIUM, RANDOM)

@@ -21,22 +21,13 @@ from imujoco_minari.errors import JobError, PolicyNotFoundError, TransferError
 from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies import Actor, Policy, expert_actor, expert_variants
 from imujoco_minari.policies.evaluation import Evaluation, evaluate
+from imujoco_minari.policies.records import EVALUATION
 from imujoco_minari.short_repr import short_repr
 from imujoco_minari.storage.files import write_text
 from imujoco_minari.variants import Variant, catalogue
 
 FORMAT = 2
-COLUMNS = (
-    "policy",
-    "variant",
-    "category",
-    "episodes",
-    "return_mean",
-    "return_std",
-    "return_min",
-    "return_max",
-    "length_mean",
-)
+COLUMNS = ("policy", "variant", "category", *EVALUATION)
 
 
 @dataclass(frozen=True)
@@ -82,11 +73,7 @@ class _Cell(NamedTuple):
 
 
 def expert_policies(robot: str, category: str | None = None) -> dict[str, Policy]:
-    """Return the expert policies of a robot by the ids of their variants, the base's first.
-
-    Args:
-        robot: name of the robot.
-        category: return the base's policy and those of this category only.
+    """Return the expert policies of a robot's :func:`columns` by the ids of their variants.
 
     Raises:
         PolicyNotFoundError: if no expert of them has been trained.
@@ -102,11 +89,7 @@ def expert_policies(robot: str, category: str | None = None) -> dict[str, Policy
 
 
 def columns(robot: str, category: str | None = None) -> tuple[Variant, ...]:
-    """Return the variants to evaluate a robot's policies on: its base, then those of the catalogue.
-
-    Raises:
-        VariantError: if the robot or the category does not exist.
-    """
+    """Return the variants to evaluate a robot's policies on: its base, then those of the catalogue."""
     return (Variant(robot), *catalogue(robot, category))
 
 
@@ -178,13 +161,12 @@ def write_csv(transfer: Transfer, path: Path) -> None:
         StorageError: if the file cannot be written.
     """
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
+    writer = csv.DictWriter(text, COLUMNS, extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
     for policy in transfer.policies:
         for variant in transfer.variants:
-            evaluation = transfer.cells[policy, variant].asdict()
-            numbers = [evaluation[name] for name in COLUMNS[3:]]
-            writer.writerow([policy, str(variant), variant.category, *numbers])
+            row = {"policy": policy, "variant": str(variant), "category": variant.category}
+            writer.writerow(row | transfer.cells[policy, variant].asdict())
     write_text(path, text.getvalue())
 
 

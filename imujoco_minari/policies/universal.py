@@ -7,7 +7,6 @@ The idea is that of universal policies (Yu et al. 2017).
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -18,11 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from imujoco_minari.errors import ImujocoError, PolicyError, PolicyNotFoundError, clipped
+from imujoco_minari.errors import PolicyError, PolicyNotFoundError
 from imujoco_minari.policies.actors import Actor
 from imujoco_minari.policies.doors import Array
-from imujoco_minari.policies.files import MAX_SAFETENSORS_BYTES, actor_of_bytes
-from imujoco_minari.policies.records import check_measured
+from imujoco_minari.policies.files import read_actor
+from imujoco_minari.policies.records import check_measured, errors_of, read_object
 from imujoco_minari.variants import Variant, specification
 from imujoco_minari.variants.context import parameters
 
@@ -114,11 +113,7 @@ class UniversalPolicy:
         return {name: round(100 * value, 2) for name, value in named if value}
 
     def fold(self, variant: Variant) -> Actor:
-        """Return the policy that is told this variant: an actor of the observation alone.
-
-        Args:
-            variant: any variant of the robot.
-        """
+        """Return the policy that is told this variant: an actor of the observation alone."""
         weights = dict(self.actor.weights)
         size = specification(self.robot).observation_size
         first = weights[FIRST_WEIGHT].astype(np.float64)
@@ -131,11 +126,7 @@ class UniversalPolicy:
 
 
 class ToldPolicy:
-    """A universal policy that acts in one environment and is told the variant of each episode.
-
-    Args:
-        universal: the universal policy.
-    """
+    """A universal policy that acts in one environment and is told the variant of each episode."""
 
     def __init__(self, universal: UniversalPolicy) -> None:
         self._universal = universal
@@ -184,27 +175,10 @@ def universal_of_record(actor: Actor, record: Mapping[str, Any]) -> UniversalPol
 
 @lru_cache(maxsize=8)
 def _read(weights: Path, path: Path, *changed: int) -> UniversalPolicy:
-    try:
-        for file in (weights, path):
-            if (size := file.stat().st_size) > MAX_SAFETENSORS_BYTES:
-                raise PolicyError(f"{file.name} has {size} bytes; the limit is {MAX_SAFETENSORS_BYTES}")
-        record = json.loads(path.read_text("utf-8"))
-        measured = record["measured"]
-        if not isinstance(measured, dict) or not isinstance(record["algorithm"], str):
+    with errors_of(path, "the record of a universal policy"):
+        record = read_object(path)
+        if not isinstance(record["measured"], dict) or not isinstance(record["algorithm"], str):
             raise ValueError("measured must be a table and algorithm a text")
-        for each in measured.values():
+        for each in record["measured"].values():
             check_measured(each)
-        actor = actor_of_bytes(weights.read_bytes(), weights.name, record["algorithm"], True, {})
-        return universal_of_record(actor, record)
-    except (
-        ValueError,
-        KeyError,
-        TypeError,
-        AttributeError,
-        OverflowError,
-        RecursionError,
-        OSError,
-        ImujocoError,
-    ) as error:
-        reason = clipped(str(error) if isinstance(error, ImujocoError) else repr(error))
-        raise PolicyError(f"{path}: not the record of a universal policy: {reason}") from None
+        return universal_of_record(read_actor(weights, algorithm=record["algorithm"]), record)

@@ -24,14 +24,12 @@ ALGORITHM = "CrossQ"
 # The parts of an agent that a new run starts from. The optimisers begin anew.
 CRITICS = ("qf/params", "qf/batch_stats", "entropy/params")
 STARTING = ("actor/params/Dense", *CRITICS)
-_LAYERS = {
-    "Dense_0": "latent_pi.0",
-    "Dense_1": "latent_pi.2",
-    "Dense_2": "mu",
-    "Dense_3": "log_std",
+# The actor's arrays: Stable-Baselines3's name -> place in its parameters. A weight is a kernel transposed.
+_ACTOR = {
+    f"{name}.{part}": (f"Dense_{number}", kind)
+    for number, name in enumerate(("latent_pi.0", "latent_pi.2", "mu", "log_std"))
+    for part, kind in (("weight", "kernel"), ("bias", "bias"))
 }
-
-
 _FUNCTIONS: dict[tuple[Any, ...], dict[str, dict[str, Any]]] = {}
 
 
@@ -119,7 +117,6 @@ def import_jax() -> Any:
 
 
 def _set_default_device(device: str) -> None:
-    """Make the first device of a kind the default of this process."""
     import jax
 
     try:
@@ -196,11 +193,8 @@ def load_arrays(path: Path) -> dict[str, Array]:
 
 def actor_weights(agent: Any) -> dict[str, Array]:
     """Return an agent's actor under Stable-Baselines3's names, float32."""
-    params, weights = agent.policy.actor_state.params, {}
-    for ours, theirs in _LAYERS.items():
-        weights[f"{theirs}.weight"] = np.asarray(params[ours]["kernel"]).T
-        weights[f"{theirs}.bias"] = np.asarray(params[ours]["bias"])
-    return weights
+    params = agent.policy.actor_state.params
+    return {name: np.asarray(params[layer][kind]).T for name, (layer, kind) in _ACTOR.items()}
 
 
 def as_stored(weights: Mapping[str, Array]) -> dict[str, Array]:
@@ -210,20 +204,17 @@ def as_stored(weights: Mapping[str, Array]) -> dict[str, Array]:
 
 def agent_actor(arrays: Mapping[str, Array]) -> dict[str, Array]:
     """Return the actor from the arrays of :func:`agent_arrays`, as it is stored."""
-    actor: dict[str, Array] = {}
-    for ours, theirs in _LAYERS.items():
-        actor[f"{theirs}.weight"] = arrays[f"actor/params/{ours}/kernel"].T
-        actor[f"{theirs}.bias"] = arrays[f"actor/params/{ours}/bias"]
-    return as_stored(actor)
+    return as_stored(
+        {name: arrays[f"actor/params/{layer}/{kind}"].T for name, (layer, kind) in _ACTOR.items()}
+    )
 
 
 def replace_actor(arrays: Mapping[str, Array], actor: Mapping[str, Array]) -> dict[str, Array]:
     """Return the arrays of :func:`agent_arrays` with another actor, under Stable-Baselines3's names."""
-    replaced = dict(arrays)
-    for ours, theirs in _LAYERS.items():
-        replaced[f"actor/params/{ours}/kernel"] = actor[f"{theirs}.weight"].astype(np.float32).T
-        replaced[f"actor/params/{ours}/bias"] = actor[f"{theirs}.bias"].astype(np.float32)
-    return replaced
+    return dict(arrays) | {
+        f"actor/params/{layer}/{kind}": actor[name].astype(np.float32).T
+        for name, (layer, kind) in _ACTOR.items()
+    }
 
 
 def actor_of(arrays: Mapping[str, Array], robot: str) -> Actor:

@@ -11,13 +11,9 @@ from imujoco_minari.policies import Array
 
 
 class ReplayBuffer:
-    """Transitions as float32 arrays.
+    """At most ``size`` transitions as float32 arrays. The other arguments are the lengths of a row.
 
-    Args:
-        size: transitions that are kept.
-        inputs: length of an input of the policy: observation and context.
-        observations: length of an observation.
-        actions: length of an action.
+    An input of the policy is observation and context.
     """
 
     def __init__(self, size: int, inputs: int, observations: int, actions: int) -> None:

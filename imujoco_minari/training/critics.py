@@ -22,7 +22,7 @@ def with_context(agent: Mapping[str, Array], contexts: Array, robot: str) -> dic
     """Return critics of observation, context and action.
 
     Args:
-        agent: the arrays of an agent: the base's, or one whose critics have the context already.
+        agent: the arrays of an agent. Critics that have the context already stay as they are.
         contexts: of the listed variants; shape (variants, parameters).
         robot: the robot.
     """
@@ -54,11 +54,6 @@ def fold_critics(
 
     The normalised context is constant, so its part of the first layer is a constant that is added to the
     bias: exact with the normalisation's running statistics, which critics use when they judge.
-
-    Args:
-        universal: the universal policy.
-        variant: the variant.
-        arrays: the arrays of its agent: the critics' parameters and statistics.
     """
     first = specification(variant.robot).observation_size
     told = universal.context(variant)
@@ -67,14 +62,12 @@ def fold_critics(
     scale, bias = (arrays[f"{_SCALING}/{name}"][:, rows].astype(np.float64) for name in ("scale", "bias"))
     normalised = (told - mean) / np.sqrt(var + _EPSILON) * scale + bias
     size = arrays[_KERNEL].shape[1]
-    folded: dict[str, Array] = {
-        name: np.delete(array, np.r_[rows], axis=1) if array.ndim > 1 and array.shape[1] == size else array
-        for name, array in arrays.items()
-        if name.startswith(("qf/", "entropy/"))
-    }
     constant = np.einsum("cn,cnh->ch", normalised, arrays[_KERNEL][:, rows].astype(np.float64))
+    folded = {}
+    for name, array in arrays.items():
+        if name.startswith(CRITICS):
+            if array.ndim > 1 and array.shape[1] == size:
+                array = np.delete(array, np.r_[rows], axis=1)
+            folded[name] = array.astype(np.float32) if array.dtype == np.float16 else array
     folded[_BIAS] = (arrays[_BIAS] + constant).astype(np.float32)
-    return {
-        name: array.astype(np.float32) if array.dtype == np.float16 else array
-        for name, array in folded.items()
-    }
+    return folded

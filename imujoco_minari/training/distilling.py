@@ -21,12 +21,11 @@ from imujoco_minari.policies.evaluation import evaluate
 from imujoco_minari.policies.universal import FIRST_WEIGHT, UniversalPolicy
 from imujoco_minari.training.agents import as_stored, import_jax
 from imujoco_minari.training.lanes import Lanes
+from imujoco_minari.training.updates import actor_outputs
 from imujoco_minari.variants import Variant
 
 # Seed of the episodes that choose teachers.
 TEACHER_SEED = 1_000_006
-_HEADS = ("mu", "log_std")
-_LOG_STD_RANGE = (-20.0, 2.0)
 # The weight of the log deviation in the loss. The mode alone decides deterministic actions.
 _LOG_STD_WEIGHT = 0.1
 _NOISE = 0.1
@@ -61,60 +60,34 @@ class Lesson(NamedTuple):
     Attributes:
         variant: the variant.
         teacher: an actor of the observation alone.
-        name: where the teacher comes from, for the record.
         share: its mean return as a share of the base expert's.
     """
 
     variant: Variant
     teacher: Actor
-    name: str
     share: float
 
 
-class Round(NamedTuple):
-    """The result of one round of the student.
-
-    Attributes:
-        number: of the round, from 1.
-        shares: mean reward (per step) of the student in each variant, as a share of the teacher's.
-        loss: mean loss of the last gradient steps.
-        seconds: since the beginning.
-    """
-
-    number: int
-    shares: Array
-    loss: float
-    seconds: float
-
-
-def best_teacher(variant: Variant, candidates: dict[str, Actor], base_return: float) -> Lesson:
+def best_teacher(variant: Variant, candidates: Sequence[Actor], base_return: float) -> Lesson:
     """Return the best of several policies for a variant: by one episode, then the best three by four.
 
-    Args:
-        variant: the variant.
-        candidates: name -> policy.
-        base_return: mean return of the base's expert on the base.
+    Its share is of ``base_return``, the mean return of the base's expert on the base.
     """
-    names = list(candidates)
-    for episodes, kept in ((1, 3), (4, 1)):
-        if len(names) > kept or episodes == 4:
-            returns = {
-                name: evaluate(variant, candidates[name], episodes=episodes, seed=TEACHER_SEED).return_mean
-                for name in names
-            }
-            names = sorted(names, key=returns.__getitem__, reverse=True)[:kept]
-    return Lesson(variant, candidates[names[0]], names[0], returns[names[0]] / base_return)
+
+    def returns(policy: Actor, episodes: int) -> float:
+        return evaluate(variant, policy, episodes=episodes, seed=TEACHER_SEED).return_mean
+
+    if len(candidates) > 3:
+        candidates = sorted(candidates, key=lambda policy: returns(policy, 1), reverse=True)[:3]
+    measured = [returns(policy, 4) for policy in candidates]
+    best = int(np.argmax(measured))
+    return Lesson(variant, candidates[best], measured[best] / base_return)
 
 
 def best_told(universal: UniversalPolicy, variant: Variant, others: Sequence[Variant]) -> list[Variant]:
-    """Return the three variants that a universal policy should be told to do best in a variant.
+    """Return the three of the others that a universal policy should be told to do best in a variant.
 
     One episode decides. The variant itself is not always best: told a lighter leg, a policy may run faster.
-
-    Args:
-        universal: the universal policy.
-        variant: the variant.
-        others: the variants that it can be told.
     """
     contexts = np.array([universal.context(other) for other in others])
     lanes = Lanes(variant.robot, len(others), lambda lane, episode: variant, TEACHER_SEED, told=False)
@@ -133,16 +106,15 @@ def distil(
     lessons: Sequence[Lesson],
     start: Actor,
     settings: Distilling,
-    on_round: Callable[[Round, dict[str, Array]], None] = lambda told, weights: None,
+    say: Callable[[str], None] = lambda line: None,
 ) -> dict[str, Array]:
     """Return the weights of a universal policy that acts as the teachers do.
 
     Args:
         lessons: variants of one robot with their teachers.
-        start: the actor that the student begins as: one of the observation alone, whose context inputs begin
-            with zero weights, or one of observation and context.
+        start: the actor of observation and context that the student begins as.
         settings: the settings.
-        on_round: called after each round with the student's weights.
+        say: called with a line about each round.
 
     Returns:
         Arrays under Stable-Baselines3's names; the first layer takes observation and context.
@@ -153,8 +125,8 @@ def distil(
     lanes = Lanes(
         variants[0].robot, len(lessons), lambda lane, episode: variants[lane], settings.seed, told=True
     )
-    student = Student(start, lanes.contexts.shape[1], size, settings)
-    # The inputs of each recording, and the labels of the teachers.
+    student = Student(start, settings)
+    # The inputs of each recording, and the teachers' modes and log deviations for them.
     seen: list[Array] = []
     labels: list[Array] = []
 
@@ -167,7 +139,8 @@ def distil(
             rewards += lanes.step(np.clip(act(inputs[-1]), -1, 1)).rewards
         for lane, teacher in enumerate(teachers):
             seen.append(np.array([rows[lane] for rows in inputs]))
-            labels.append(label(teacher, seen[-1][:, :size]))
+            mean, log_std = teacher.distribution(seen[-1][:, :size])
+            labels.append(np.concatenate([np.tanh(mean), log_std], axis=1))
         return rewards / settings.steps
 
     def taught(inputs: Array, noise: float = 0.0) -> Array:
@@ -181,9 +154,12 @@ def distil(
         last = number == settings.rounds
         updates = settings.updates * (4 if last else 1)
         memory = np.concatenate(seen), np.concatenate(labels)
-        loss = student.learn(*memory, rng, updates, settings.learning_rate / (100 if last else 5))
-        rewards = record(student.act)
-        on_round(Round(number, rewards / wanted, loss, time.monotonic() - begin), student.weights())
+        student.learn(*memory, rng, updates, settings.learning_rate / (100 if last else 5))
+        shares = record(student.act) / wanted
+        say(
+            f"round {number}: {np.median(shares):.3f} of the teachers (median), "
+            f"lowest {shares.min():.3f}, {(time.monotonic() - begin) / 60:.1f} min"
+        )
     lanes.close()
     return student.weights()
 
@@ -196,43 +172,21 @@ def with_unused_context(actor: Actor, parameters: int) -> Actor:
     return replace(actor, weights=dict(actor.weights) | widened)
 
 
-def label(teacher: Actor, observations: Array) -> Array:
-    """Return a teacher's modes, in [-1, 1], and log deviations; shape (b, 2 * action size)."""
-    mean, log_std = teacher.distribution(observations)
-    return np.concatenate([np.tanh(mean), log_std], axis=-1)
-
-
 class Student:
-    """The weights that learn, in JAX.
+    """The weights that learn, in JAX."""
 
-    Args:
-        start: see :func:`distil`.
-        parameters: number of parameters of a context.
-        observation_size: length of an observation.
-        settings: the settings.
-    """
-
-    def __init__(self, start: Actor, parameters: int, observation_size: int, settings: Distilling) -> None:
+    def __init__(self, start: Actor, settings: Distilling) -> None:
         jax = import_jax()
         import jax.numpy as jnp
         import optax
 
-        whole = start if start.observation_size > observation_size else with_unused_context(start, parameters)
-        weights = {name: np.array(array, np.float32) for name, array in whole.weights.items()}
-        self._hidden = [f"latent_pi.{2 * layer}" for layer in range(len(start.hidden_sizes))]
-        self._params, self._batch = weights, settings.batch_size
-        self._rate = settings.learning_rate
+        self._params = {name: np.array(array, np.float32) for name, array in start.weights.items()}
+        self._batch, self._rate = settings.batch_size, settings.learning_rate
         optimiser = optax.inject_hyperparams(optax.adam)(learning_rate=self._rate)
         self._state = optimiser.init(self._params)
 
-        def forward(params: Any, x: Any) -> tuple[Any, Any]:
-            for name in self._hidden:
-                x = jax.nn.relu(x @ params[f"{name}.weight"].T + params[f"{name}.bias"])
-            mean, log_std = (x @ params[f"{head}.weight"].T + params[f"{head}.bias"] for head in _HEADS)
-            return jnp.tanh(mean), jnp.clip(log_std, *_LOG_STD_RANGE)
-
         def loss(params: Any, inputs: Any, labels: Any) -> Any:
-            mode, log_std = forward(params, inputs)
+            mode, log_std = actor_outputs(params, inputs)
             wanted, wanted_log_std = jnp.split(labels, 2, axis=1)
             return ((mode - wanted) ** 2).mean() + _LOG_STD_WEIGHT * ((log_std - wanted_log_std) ** 2).mean()
 
@@ -245,20 +199,18 @@ class Student:
             return (optax.apply_updates(params, changes), state), value
 
         self._updates = jax.jit(lambda carry, batches: jax.lax.scan(update, carry, batches))
-        self._forward = jax.jit(forward)
+        self._forward = jax.jit(actor_outputs)
 
     def learn(
         self, inputs: Array, labels: Array, rng: np.random.Generator, updates: int, last_rate: float
-    ) -> float:
-        """Make gradient steps, with a rate that falls to ``last_rate``, and return the last mean loss."""
+    ) -> None:
+        """Make gradient steps, with a rate that falls to ``last_rate``."""
         rates = np.geomspace(self._rate, last_rate, updates).astype(np.float32)
-        losses: Array = np.zeros(1)
         for piece in np.split(rates, range(250, updates, 250)):
             chosen = rng.integers(len(inputs), size=(len(piece), self._batch))
-            (self._params, self._state), losses = self._updates(
+            (self._params, self._state), _ = self._updates(
                 (self._params, self._state), (inputs[chosen], labels[chosen], piece)
             )
-        return float(np.mean(losses))
 
     def act(self, inputs: Array) -> Array:
         """Return the modes, in [-1, 1], for observations and contexts."""

@@ -12,8 +12,9 @@ from typing import Any, get_type_hints
 
 from imujoco_minari.errors import CatalogueError, clipped, suggestion
 from imujoco_minari.variants import specification
+from imujoco_minari.variants.pages import STARTS
 
-SCRATCH, WARM, NEAR, IMPROVE, UNIVERSAL = "scratch", "warm", "near", "improve", "universal"
+SCRATCH, WARM, NEAR, IMPROVE, UNIVERSAL = STARTS
 _MAY_BE_ZERO = {"settling_rate", "settling_from", "exploration_steps", "critic_updates", "anchor", "momentum"}
 
 
@@ -100,8 +101,7 @@ def hyperparameters(robot: str, start: str, **changes: Any) -> Hyperparameters:
         60000
     """
     table, own = _read_table(), specification(robot).training
-    layers = (table["all"], table[start], own.get(start, {}), changes)
-    values = {key: value for layer in layers for key, value in layer.items()}
+    values = {**table["all"], **table[start], **own.get(start, {}), **changes}
     known = {field.name for field in fields(Hyperparameters)}
     unknown = sorted(set(values) - known)
     if unknown:

@@ -62,18 +62,16 @@ def install(
         variant: the variant.
         folder: state folder of the run.
         record: the run's record.
-        evaluations: the run's evaluations.
-        policies: the folder of policies.
+        evaluations: the run's evaluations, for the ladder.
+        policies: the folder to install it in.
     """
     before = own_record(variant, policies)
     if before:
         record = record | {"before": {key: before.get(key) for key in _HISTORY_KEYS}}
     if variant.category == BASE:
         save_arrays(policies / f"{variant}.agent.safetensors", load_arrays(folder / "best-agent.safetensors"))
-        ladder = before.get("ladder") or _base_ladder(
-            variant, folder, evaluations, mean_return(record), policies
-        )
-        record = record | {"ladder": ladder}
+        ladder = before.get("ladder")
+        record = record | {"ladder": ladder or _base_ladder(variant, folder, record, evaluations, policies)}
     save_arrays(policies / f"{variant}.safetensors", load_arrays(folder / "best.safetensors"))
     # The record is written last. Its presence means that the policy is complete.
     write_json(policies / f"{variant}.json", record)
@@ -81,12 +79,12 @@ def install(
 
 
 def _base_ladder(
-    base: Variant, folder: Path, evaluations: Sequence[Any], expert_return: float, policies: Path
+    base: Variant, folder: Path, record: Mapping[str, Any], evaluations: Sequence[Any], policies: Path
 ) -> list[Mapping[str, Any]]:
     """Save the checkpoint nearest to each of the shares as a rung, and return the ladder."""
 
     def nearest(share: float) -> int:
-        wanted = share * expert_return
+        wanted = share * mean_return(record)
         return int(min(evaluations, key=lambda e: abs(e["present"]["return_mean"] - wanted))["steps"])
 
     ladder: list[Mapping[str, Any]] = []

@@ -104,7 +104,6 @@ class Run:
 
     def __init__(self, task: Task, folder: Path, wrap: Wrap | None = None, device: str | None = None) -> None:
         self.task, self.folder, self.progress = task, folder, Progress()
-        (folder / "ladder").mkdir(parents=True, exist_ok=True)
         settings, page = task.settings, specification(task.variant.robot)
         self._lanes = Lanes(
             task.variant.robot, settings.lanes, self._choose, task.seed, told=task.over is not None, wrap=wrap
@@ -112,14 +111,15 @@ class Run:
         inputs = self._lanes.inputs.shape[1]
         self._buffer = ReplayBuffer(settings.buffer_size, inputs, page.observation_size, page.action_size)
         self._agent = make_agent(inputs, page.action_size, settings, task.seed, device)
-        if task.agent and settings.anchor:
+        agent = task.start.agent
+        if agent and settings.anchor:
             # What the run began as holds it, also after it was resumed.
-            hold(self._agent, agent_actor(task.agent), settings.anchor)
+            hold(self._agent, agent_actor(agent), settings.anchor)
         if (folder / _CHECKPOINT_NAME).is_file():
             self._load_checkpoint()
         else:
-            if task.agent:
-                restore_agent(self._agent, task.agent, STARTING)
+            if agent:
+                restore_agent(self._agent, agent, STARTING)
             self._average = actor_weights(self._agent)
         self._rng = np.random.default_rng()
         self._actor: Actor | None = None
@@ -130,7 +130,7 @@ class Run:
         Args:
             on_interval: called with the progress and the task after every interval.
         """
-        if self.task.agent and not self.progress.evaluations:
+        if self.task.start.agent and not self.progress.evaluations:
             self._evaluate(time.monotonic())
             on_interval(self.progress, self.task)
         while not self.finished:
@@ -163,7 +163,7 @@ class Run:
         self._lanes.restart()
         while progress.steps < end:
             for _ in range(max(1, settings.steps_per_call // settings.lanes)):
-                self._step(randomly=exploring and self.task.start == SCRATCH)
+                self._step(randomly=exploring and self.task.start.name == SCRATCH)
             if not exploring:
                 self._update(settings.policy_delay)
                 progress.updates += settings.updates_per_call
@@ -282,9 +282,9 @@ class Run:
             "variant": str(task.variant),
             "algorithm": ALGORITHM,
             "library": f"sbx-rl {version('sbx-rl')}",
-            "start": task.start,
-            "start_sha256": task.start_sha256,
-            "start_told": task.start_told,
+            "start": task.start.name,
+            "start_sha256": task.start.sha256,
+            "start_told": task.start.told,
             "steps": progress.best_steps,
             "steps_trained": progress.steps,
             "updates": progress.updates,

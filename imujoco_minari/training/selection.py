@@ -42,14 +42,7 @@ def score(evaluation: Mapping[str, Any]) -> float:
 
 
 def look(task: Task, arrays: Mapping[str, Array], episodes: int, seed: int) -> Look:
-    """Evaluate an actor in the variants of a task.
-
-    Args:
-        task: the task.
-        arrays: the actor's weights as they are stored.
-        episodes: number of episodes in each variant.
-        seed: base seed of the episodes.
-    """
+    """Evaluate an actor, as it is stored, for some episodes in each variant of a task."""
     robot = task.variant.robot
     if task.over is None:
         found = evaluate(task.variant, actor_of(arrays, robot), episodes=episodes, seed=seed).asdict()
@@ -71,13 +64,9 @@ def look(task: Task, arrays: Mapping[str, Array], episodes: int, seed: int) -> L
 
 
 def better(task: Task, arrays: Mapping[str, Array], ranked: Look, best: float) -> Look | None:
-    """Return the evaluation over the deciding episodes if the actor is better than the best one.
+    """Return an actor's evaluation over the deciding episodes if its score is above ``best``, else None.
 
-    Args:
-        task: the task.
-        arrays: the actor's weights as they are stored.
-        ranked: its evaluation over the ranking episodes.
-        best: the score of the best actor, which may be negative.
+    ``ranked`` is its evaluation over the ranking episodes. Scores may be negative.
     """
     if ranked.mean < best - _MARGIN * abs(best):
         return None

@@ -7,48 +7,25 @@ robot without a universal policy starts from its base's agent.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from pathlib import Path
 
 from imujoco_minari.errors import PolicyNotFoundError
-from imujoco_minari.policies import Array, agent_file, own_record, universal_policy
+from imujoco_minari.policies import agent_file, own_record, universal_policy
 from imujoco_minari.policies.evaluation import evaluate
 from imujoco_minari.policies.experts import FOLDED
 from imujoco_minari.policies.universal import universal_name
 from imujoco_minari.training.agents import actor_of, agent_actor, load_arrays, replace_actor
 from imujoco_minari.training.critics import fold_critics
 from imujoco_minari.training.distilling import best_told
-from imujoco_minari.training.selection import score as score_of
+from imujoco_minari.training.selection import score
+from imujoco_minari.training.task import Start
 from imujoco_minari.variants import Variant, catalogue
 
 EPISODES, START_SEED = 5, 1_000_005
 
 
-@dataclass
-class Start:
-    """An agent to start from.
-
-    Attributes:
-        name: a base, or ``universal policy``.
-        sha256: digest of its policy, from its record.
-        agent: arrays of the agent.
-        told: the variant that the universal policy is told; empty for a base's agent.
-        score: score of its evaluation on the variant; -inf if not evaluated.
-    """
-
-    name: str
-    sha256: str
-    agent: dict[str, Array] = field(repr=False)
-    told: str = ""
-    score: float = float("-inf")
-
-
 def best_start(variant: Variant, policies: Path) -> Start:
     """Return the better start for a variant: the folded agent, or the base's.
-
-    Args:
-        variant: the variant.
-        policies: folder to search before the package's.
 
     Raises:
         PolicyNotFoundError: if the base's agent does not exist.
@@ -60,7 +37,7 @@ def best_start(variant: Variant, policies: Path) -> Start:
             f"`imujoco train {variant.base}` first, or train with --scratch"
         )
     base_agent = load_arrays(path)
-    starts = [Start(str(variant.base), str(record["weights_sha256"]), base_agent)]
+    starts = [Start(str(variant.base), base_agent, str(record["weights_sha256"]))]
     universal = universal_policy(variant.robot, policies)
     if universal is not None:
         own = agent_file(universal_name(variant.robot), policies)
@@ -69,13 +46,8 @@ def best_start(variant: Variant, policies: Path) -> Start:
         for told in dict.fromkeys([variant, *best_told(universal, variant, known)]):
             critics = {} if own is None else fold_critics(universal, told, load_arrays(own))
             agent = replace_actor(base_agent | critics, universal.fold(told).weights)
-            starts.append(Start(FOLDED, universal.sha256, agent, str(told)))
+            starts.append(Start(FOLDED, agent, universal.sha256, str(told)))
     for start in starts:
-        measured = evaluate(
-            variant,
-            actor_of(agent_actor(start.agent), variant.robot),
-            episodes=EPISODES,
-            seed=START_SEED,
-        )
-        start.score = score_of(measured.asdict())
+        actor = actor_of(agent_actor(start.agent), variant.robot)
+        start.score = score(evaluate(variant, actor, episodes=EPISODES, seed=START_SEED).asdict())
     return max(starts, key=lambda start: start.score)

@@ -6,7 +6,6 @@ policies folder. A lock in its state folder prevents two sweeps from training it
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import shutil
@@ -21,19 +20,12 @@ from imujoco_minari.errors import ImujocoError, JobError, StorageError, Training
 from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies import expert_record, own_record
 from imujoco_minari.policies.rungs import mean_return
-from imujoco_minari.storage.files import write_json
-from imujoco_minari.training.hyperparameters import (
-    IMPROVE,
-    NEAR,
-    SCRATCH,
-    WARM,
-    hyperparameters,
-)
+from imujoco_minari.storage.files import try_lock, write_json
+from imujoco_minari.training.hyperparameters import IMPROVE, NEAR, SCRATCH, WARM, hyperparameters
 from imujoco_minari.training.installing import folded_score, install, own_score
-from imujoco_minari.training.plan import Plan
 from imujoco_minari.training.run import OnInterval, Run, do_nothing
 from imujoco_minari.training.starts import best_start
-from imujoco_minari.training.task import Task
+from imujoco_minari.training.task import Plan, Task
 from imujoco_minari.variants import BASE, Variant
 
 # A variant's run ends when its actor's score reaches this share of the base expert's mean return. The score
@@ -150,11 +142,7 @@ def _train_or_report(variant: Variant, plan: Plan) -> Trained:
 
 
 def task(variant: Variant, plan: Plan) -> Task:
-    """Return the run of a variant under a plan: its start, target and hyperparameters.
-
-    Raises:
-        PolicyNotFoundError: if the agent to start from does not exist.
-    """
+    """Return the run of a variant under a plan: its start, target and hyperparameters."""
     target = float("inf") if plan.target is None else plan.target
     improving = plan.improve and bool(own_record(variant, plan.policies))
     if plan.scratch or (variant.category == BASE and not improving):
@@ -167,16 +155,7 @@ def task(variant: Variant, plan: Plan) -> Task:
     near = start.score >= NEAR_SHARE * needed_score
     kind = IMPROVE if variant.category == BASE else NEAR if near else WARM
     settings = hyperparameters(variant.robot, kind, **plan.changes)
-    return Task(
-        variant,
-        settings,
-        plan.seed,
-        start=start.name,
-        agent=start.agent,
-        start_sha256=start.sha256,
-        start_told=start.told,
-        target=target,
-    )
+    return Task(variant, settings, plan.seed, start, target)
 
 
 def _training_groups(variants: Sequence[Variant], plan: Plan) -> Iterator[list[Variant]]:
@@ -204,7 +183,7 @@ def lock_folder(folder: Path) -> Iterator[None]:
         raise StorageError(f"cannot write {folder}: {error.strerror or error}") from None
     try:
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            try_lock(handle)
         except BlockingIOError:
             raise TrainingError(f"{folder.name} is being trained by another process, in {folder}") from None
         yield

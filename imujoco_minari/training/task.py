@@ -1,18 +1,54 @@
-"""The description of a training run: variants, hyperparameters, seed, start and target."""
+"""The settings of a sweep, and the description of a training run: variants, settings, start and target."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
-from imujoco_minari.policies import Array
+from imujoco_minari.policies import Array, policies_folder
 from imujoco_minari.training.hyperparameters import SCRATCH, Hyperparameters
 from imujoco_minari.variants import Variant
 
+# Share of the episodes whose variant is drawn.
+_DRAWN = 0.1
 # A weak variant is chosen up to six times as often as one that does well.
 _WEIGHTS = (0.1, 0.6)
+
+
+def default_state() -> Path:
+    """Return the default folder of unfinished runs, beside the user's policies."""
+    return policies_folder().parent / "training"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The settings of a sweep.
+
+    Attributes:
+        state: folder of the unfinished runs.
+        policies: folder of finished policies.
+        scratch: train variants from scratch too.
+        seed: seed of all that is random.
+        target: stop at this score, the mean of mean and lowest return; None for a share of the base expert's
+            return.
+        changes: hyperparameters that replace those of the file.
+        nice: increase of the process's nice value.
+        improve: continue the training of finished policies and keep the better ones.
+        device: device of the updates: ``cpu``, ``gpu``, or None for JAX's default.
+    """
+
+    state: Path = field(default_factory=default_state)
+    policies: Path = field(default_factory=policies_folder)
+    scratch: bool = False
+    seed: int = 0
+    target: float | None = None
+    changes: dict[str, int | float] = field(default_factory=dict)
+    nice: int = 0
+    improve: bool = False
+    device: str | None = None
 
 
 @dataclass(frozen=True)
@@ -22,27 +58,44 @@ class Distribution:
     Attributes:
         listed: the variants that evaluate it -> the return that counts as 1 in each.
         draw: a seed -> another variant to train in.
-        drawn: share of the episodes whose variant is drawn.
     """
 
     listed: Mapping[Variant, float]
     draw: Callable[[int], Variant]
-    drawn: float = 0.1
 
     def choose(self, rng: np.random.Generator, seed: int, running: Mapping[str, float]) -> Variant:
-        """Return the variant of an episode.
+        """Return the variant of an episode, which ``seed`` draws or ``rng`` chooses among the listed ones.
 
-        Args:
-            rng: source of the choice.
-            seed: of a drawn variant.
-            running: variant -> running share of its training episodes. Weak variants come more often.
+        ``running`` maps variants to shares of their training episodes. Weak variants come more often.
         """
-        if rng.random() < self.drawn:
+        if rng.random() < _DRAWN:
             return self.draw(seed)
         variants = list(self.listed)
         shares = np.array([running.get(str(each), 0.8) for each in variants])
         weights = np.clip(1.1 - shares, *_WEIGHTS)
         return variants[int(rng.choice(len(variants), p=weights / weights.sum()))]
+
+
+@dataclass
+class Start:
+    """The agent that a run starts from.
+
+    Attributes:
+        name: a base, ``universal policy`` or ``scratch``.
+        agent: its arrays; empty from scratch.
+        sha256: digest of its policy, from its record.
+        told: the variant that the universal policy is told; empty for a base's agent.
+        score: score of its evaluation on the variant; -inf if not evaluated.
+    """
+
+    name: str = SCRATCH
+    agent: dict[str, Array] = field(default_factory=dict, repr=False)
+    sha256: str = ""
+    told: str = ""
+    score: float = float("-inf")
+
+    def __str__(self) -> str:
+        return self.name
 
 
 @dataclass(frozen=True)
@@ -53,10 +106,7 @@ class Task:
         variant: the variant to train in; the base for a universal policy.
         settings: the hyperparameters.
         seed: seed of all that is random.
-        start: name of the agent that the run starts from, or ``scratch``.
-        agent: the arrays of that agent; empty from scratch.
-        start_sha256: digest of that agent's actor, from its record.
-        start_told: the variant that the universal policy is told, where the run starts from it.
+        start: the agent that the run starts from.
         target: the run stops when an actor's evaluation over the deciding episodes has this score.
         over: the variants of a universal policy, which is told the variant; None for the variant alone.
     """
@@ -64,9 +114,6 @@ class Task:
     variant: Variant
     settings: Hyperparameters
     seed: int = 0
-    start: str = SCRATCH
-    agent: dict[str, Array] = field(default_factory=dict, repr=False)
-    start_sha256: str = ""
-    start_told: str = ""
+    start: Start = field(default_factory=Start)
     target: float = float("inf")
     over: Distribution | None = None

@@ -18,15 +18,7 @@ from typing import Any
 import numpy as np
 
 from imujoco_minari.errors import PolicyNotFoundError, VariantError
-from imujoco_minari.policies import (
-    Actor,
-    Array,
-    agent_file,
-    expert_actor,
-    expert_variants,
-    own_record,
-    universal_policy,
-)
+from imujoco_minari.policies import agent_file, expert_actor, expert_variants, own_record, universal_policy
 from imujoco_minari.policies.references import evaluations
 from imujoco_minari.policies.rungs import mean_return
 from imujoco_minari.policies.universal import (
@@ -49,18 +41,16 @@ from imujoco_minari.training.critics import with_context
 from imujoco_minari.training.distilling import (
     Distilling,
     Lesson,
-    Round,
     best_teacher,
     best_told,
     distil,
     with_unused_context,
 )
 from imujoco_minari.training.hyperparameters import UNIVERSAL, hyperparameters
-from imujoco_minari.training.plan import Plan
 from imujoco_minari.training.run import OnInterval, Run, do_nothing, versions
 from imujoco_minari.training.selection import score, universal_of
 from imujoco_minari.training.sweep import Trained, lock_folder
-from imujoco_minari.training.task import Distribution, Task
+from imujoco_minari.training.task import Distribution, Plan, Start, Task
 from imujoco_minari.variants import Change, Variant, catalogue
 from imujoco_minari.variants.context import parameters
 from imujoco_minari.variants.off_dynamics import off_dynamics, off_dynamics_names
@@ -107,7 +97,7 @@ def lessons(robot: str, policies: Path, seed: int, trained: UniversalPolicy) -> 
     Args:
         robot: the robot.
         policies: folder to search before the package's.
-        seed: of the drawn variants.
+        seed: seed of the drawn variants.
         trained: a universal policy that may teach, beside the present one.
     """
     base = Variant(robot)
@@ -118,9 +108,10 @@ def lessons(robot: str, policies: Path, seed: int, trained: UniversalPolicy) -> 
     known = list(dict.fromkeys([base, *catalogue(robot), *own]))
     found = []
     for variant in known:
-        candidates = {str(each): own[each] for each in (variant, base) if each in own}
+        candidates = [own[each] for each in dict.fromkeys([variant, base]) if each in own]
         for universal in told:
-            candidates |= _folded(universal, [variant, *best_told(universal, variant, known)])
+            named = dict.fromkeys([variant, *best_told(universal, variant, known)])
+            candidates += map(universal.fold, named)
         found.append(best_teacher(variant, candidates, base_return))
     rng = np.random.default_rng(seed)
     for number in range(DRAWN):
@@ -129,17 +120,12 @@ def lessons(robot: str, policies: Path, seed: int, trained: UniversalPolicy) -> 
         near = [each for each in own if {(c.category, c.body) for c in each.changes} & changed]
         others = [each for each in own if each not in (*near, base)]
         tried = [others[index] for index in rng.permutation(len(others))[:_OTHERS]]
-        candidates = {str(each): own[each] for each in (base, *near, *tried)}
-        for universal in told:
-            candidates |= _folded(universal, [variant])
+        candidates = [own[each] for each in dict.fromkeys([base, *near, *tried])]
+        candidates += [universal.fold(variant) for universal in told]
         lesson = best_teacher(variant, candidates, base_return)
         if lesson.share >= WORTH_TEACHING:
             found.append(lesson)
     return found
-
-
-def _folded(universal: UniversalPolicy, variants: Sequence[Variant]) -> dict[str, Actor]:
-    return {f"{universal.sha256[:12]} told {variant}": universal.fold(variant) for variant in variants}
 
 
 def train_universal(
@@ -178,7 +164,7 @@ def train_universal(
         taught = lessons(robot, plan.policies, plan.seed, trained)
         shares = [lesson.share for lesson in taught]
         say(f"{len(taught)} variants, their teachers at {np.median(shares):.3f} of the base (median)")
-        weights = distil(taught, (present or trained).actor, distilling, partial(_tell, say))
+        weights = distil(taught, (present or trained).actor, distilling, say)
         record: dict[str, Any] = {
             "robot": robot,
             "algorithm": ALGORITHM,
@@ -216,13 +202,6 @@ def _score(record: Mapping[str, Any]) -> float:
     return float(np.mean([score(measured["evaluation"]) for measured in record["measured"].values()]))
 
 
-def _tell(say: Callable[[str], None], told: Round, weights: dict[str, Array]) -> None:
-    say(
-        f"round {told.number}: {np.median(told.shares):.3f} of the teachers (median), "
-        f"lowest {told.shares.min():.3f}, {told.seconds / 60:.1f} min"
-    )
-
-
 def _task(robot: str, plan: Plan) -> Task:
     """Return the training in many variants, which begins as the base's agent."""
     base = Variant(robot)
@@ -237,8 +216,7 @@ def _task(robot: str, plan: Plan) -> Task:
         base,
         hyperparameters(robot, UNIVERSAL, **plan.changes),
         plan.seed,
-        start=str(base),
-        agent=replace_actor(with_context(agent, contexts, robot), actor.weights),
+        Start(str(base), replace_actor(with_context(agent, contexts, robot), actor.weights)),
         over=Distribution(dict.fromkeys(listed, base_return), partial(drawn_variant, robot)),
     )
 

@@ -7,6 +7,20 @@ from functools import cache
 from typing import Any
 
 from imujoco_minari.policies import Array
+from imujoco_minari.policies.actors import LOG_STD_RANGE, depth
+
+
+def actor_outputs(weights: Mapping[str, Any], inputs: Any) -> tuple[Any, Any]:
+    """Return modes, in [-1, 1], and log deviations of an actor with ReLU, computed by JAX."""
+    import jax
+    import jax.numpy as jnp
+
+    def layer(name: str, x: Any) -> Any:
+        return x @ weights[f"{name}.weight"].T + weights[f"{name}.bias"]
+
+    for number in range(depth(weights)):
+        inputs = jax.nn.relu(layer(f"latent_pi.{2 * number}", inputs))
+    return jnp.tanh(layer("mu", inputs)), jnp.clip(layer("log_std", inputs), *LOG_STD_RANGE)
 
 
 def hold(agent: Any, anchor: Mapping[str, Array], alpha: float) -> None:
@@ -18,7 +32,7 @@ def hold(agent: Any, anchor: Mapping[str, Array], alpha: float) -> None:
     Args:
         agent: the agent.
         anchor: the policy's weights, under Stable-Baselines3's names.
-        alpha: how far the actor may go from the anchor; larger is further.
+        alpha: how far the actor may go from the anchor.
     """
     import jax.numpy as jnp
 
@@ -40,11 +54,6 @@ def _anchored() -> tuple[Any, Any]:
     class AnchoredState(BatchNormTrainState):  # type: ignore[misc]
         anchor: Any = struct.field(default=None)
         alpha: Any = struct.field(default=None)
-
-    def anchored_mode(weights: Any, x: Any) -> Any:
-        for layer in ("latent_pi.0", "latent_pi.2"):
-            x = jax.nn.relu(x @ weights[f"{layer}.weight"].T + weights[f"{layer}.bias"])
-        return jnp.tanh(x @ weights["mu.weight"].T + weights["mu.bias"])
 
     class AnchoredCrossQ(CrossQ):  # type: ignore[misc]
         @staticmethod
@@ -69,7 +78,8 @@ def _anchored() -> tuple[Any, Any]:
                 )
                 lowest = jnp.min(values, axis=0)
                 entropy = ent_coef_state.apply_fn({"params": ent_coef_state.params})
-                away = ((chosen.mode() - anchored_mode(actor_state.anchor, observations)) ** 2).mean()
+                anchored, _ = actor_outputs(actor_state.anchor, observations)
+                away = ((chosen.mode() - anchored) ** 2).mean()
                 weight = jax.lax.stop_gradient(jnp.abs(lowest).mean()) / actor_state.alpha
                 return (entropy * log_prob - lowest).mean() + weight * away, -log_prob.mean()
 
@@ -80,14 +90,9 @@ def _anchored() -> tuple[Any, Any]:
 
 
 def update(agent: Any, data: Any, count: int, delay: int, offset: int) -> None:
-    """Make gradient steps of an agent, one for each equal part of the data.
+    """Make ``count`` gradient steps of an agent, one for each equal part of the data.
 
-    Args:
-        agent: the agent.
-        data: the transitions of all steps.
-        count: number of steps.
-        delay: steps of the critics for each step of the actor.
-        offset: number of the first step, modulo ``delay``.
+    The actor makes a step for each ``delay`` steps of the critics; ``offset`` is the number of the first.
     """
     policy = agent.policy
     loop = _anchored()[1] if hasattr(policy.actor_state, "anchor") else agent._train

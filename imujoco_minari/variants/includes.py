@@ -8,7 +8,7 @@ from pathlib import Path
 from imujoco_minari.errors import CatalogueError
 
 # A model of more than 48 KiB is refused later. Comments may make its files longer.
-_MAX_BYTES, _MAX_INCLUDES, _MAX_DEPTH = 2**20, 100, 100
+_MAX_BYTES, _MAX_INCLUDES = 2**20, 100
 
 
 def read_model(path: Path) -> str:
@@ -22,16 +22,17 @@ def read_model(path: Path) -> str:
     """
     root = _read(path)
     _insert_includes(root, path, path.parent.resolve(), (path.resolve(),), [])
-    return ET.tostring(root, encoding="unicode")
+    try:
+        return ET.tostring(root, encoding="unicode")
+    except RecursionError:
+        raise CatalogueError(f"{path}: elements are nested too deep") from None
 
 
 def _insert_includes(
-    element: ET.Element, path: Path, folder: Path, open_files: tuple[Path, ...], included: list[Path]
+    root: ET.Element, path: Path, folder: Path, open_files: tuple[Path, ...], included: list[Path]
 ) -> None:
-    for child in list(element):
-        if child.tag != "include":
-            _insert_includes(child, path, folder, open_files, included)
-            continue
+    places = [(parent, child) for parent in root.iter() for child in parent if child.tag == "include"]
+    for parent, child in places:
         named = child.get("file", "")
         file = (folder / named).resolve()
         if not file.is_relative_to(folder):
@@ -46,34 +47,23 @@ def _insert_includes(
             raise CatalogueError(f"{path}: has more than {_MAX_INCLUDES} includes")
         part = _read(file)
         _insert_includes(part, path, folder, (*open_files, file), included)
-        place = list(element).index(child)
-        element.remove(child)
-        for offset, inner in enumerate(part):
-            element.insert(place + offset, inner)
+        place = list(parent).index(child)
+        parent[place : place + 1] = list(part)
 
 
 def _read(path: Path) -> ET.Element:
+    # A pipe, for example, would wait without end.
+    if not path.is_file():
+        raise CatalogueError(f"{path}: cannot be read: it is no file")
     try:
-        # A pipe, for example, would wait without end.
-        if not path.is_file():
-            raise CatalogueError(f"{path}: cannot be read: it is no file")
         if path.stat().st_size > _MAX_BYTES:
             raise CatalogueError(f"{path}: the file has more than {_MAX_BYTES} bytes")
         text = path.read_text("utf-8")
-        if "<!DOCTYPE" in text or "<!ENTITY" in text:
-            raise CatalogueError(f"{path}: a model with a DOCTYPE or entities is refused")
-        root = ET.fromstring(text)
-    # It is a ValueError too.
-    except CatalogueError:
-        raise
     except (OSError, UnicodeDecodeError) as error:
         raise CatalogueError(f"{path}: cannot be read: {error}") from None
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise CatalogueError(f"{path}: a model with a DOCTYPE or entities is refused")
+    try:
+        return ET.fromstring(text)
     except (ET.ParseError, ValueError) as error:
         raise CatalogueError(f"{path}: not XML: {error}") from None
-    if _is_deeper(root, _MAX_DEPTH):
-        raise CatalogueError(f"{path}: elements are nested deeper than {_MAX_DEPTH}")
-    return root
-
-
-def _is_deeper(element: ET.Element, depth: int) -> bool:
-    return depth < 0 or any(_is_deeper(child, depth - 1) for child in element)

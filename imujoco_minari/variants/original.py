@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from imujoco_minari.errors import VariantError
-from imujoco_minari.variants import BASE, MAX_PERCENT, NAMESPACE, ROBOTS, Change, Variant, specification
+from imujoco_minari.variants import BASE, MAX_PERCENT, NAMESPACE, ROBOTS, Change, Variant
 from imujoco_minari.variants.ids import split_name
 
 ORIGINAL = "imujoco-original"
@@ -42,20 +42,13 @@ class OriginalVariant(Variant):
     """A variant of the original archive. Its body is the archive's word, whatever our catalogue lists.
 
     Raises:
-        VariantError: when robot or category is not the benchmark's, or the percent leaves nothing.
+        VariantError: when the percent leaves nothing.
     """
 
     namespace: ClassVar[str] = ORIGINAL
 
     def __post_init__(self) -> None:
-        specification(self.robot)
-        if not self.changes:
-            return
-        if len(self.changes) > 1 or self.category not in ORIGINAL_CATEGORIES or not self.body:
-            raise VariantError(
-                f"{self.robot} has no category {self.category!r}; valid: {', '.join(ORIGINAL_CATEGORIES)}"
-            )
-        if not -100 < self.percent <= MAX_PERCENT:
+        if self.changes and not -100 < self.percent <= MAX_PERCENT:
             raise VariantError(
                 f"percent {self.percent} is out of range; valid: above -100, up to {MAX_PERCENT}"
             )

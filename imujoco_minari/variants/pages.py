@@ -195,12 +195,7 @@ def parse_specification(text: str, name: str) -> RobotSpecification:
 
 
 class _Page:
-    """The checked values of a page's keys.
-
-    Args:
-        data: the parsed TOML.
-        name: of the file, for messages.
-    """
+    """The checked values of a page's keys."""
 
     def __init__(self, data: dict[str, Any], name: str) -> None:
         self._data, self._name = data, name
@@ -234,18 +229,13 @@ class _Page:
         return tables
 
     def healthy_z_range(self) -> tuple[float, float] | None:
-        z_range = self._data.get("healthy_z_range")
-        if z_range is None:
-            return None
-        if (
-            not isinstance(z_range, list)
-            or len(z_range) != 2
-            or not all(isinstance(z, float) for z in z_range)
-            # It is false for nan too.
-            or not z_range[0] < z_range[1]
-        ):
-            raise self._error("healthy_z_range must be two floats, in metres, the lower one first")
-        return z_range[0], z_range[1]
+        match self._data.get("healthy_z_range"):
+            case None:
+                return None
+            # The comparison is false for nan.
+            case [float(low), float(high)] if low < high:
+                return low, high
+        raise self._error("healthy_z_range must be two floats, in metres, the lower one first")
 
     def reward(self) -> Reward | None:
         if "reward" not in self._data:

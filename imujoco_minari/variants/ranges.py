@@ -131,9 +131,6 @@ def drawing_ranges(robot: str, *, unlisted: bool = False) -> dict[str, tuple[flo
         unlisted: add the parameters of categories that the catalogue lists no variants of, with ranges in
             which the robots can still be controlled.
 
-    Raises:
-        VariantError: if there is no such robot.
-
     Example:
         >>> drawing_ranges("hopper")["mass/torsogeom"]
         (-50, 200)

@@ -119,13 +119,23 @@ def test_one_layout_serves_training_and_test_variants() -> None:
     assert dict(zip(test.unwrapped.parameters, info["context"], strict=True))["mass/leggeom"] == 0.37
 
 
-def test_a_drawing_environment_survives_pickle_json_and_vectors() -> None:
-    options = {"weights": {"hopper-frictiondec_25_feet": 9.0}, "observe_context": True}
-    env = gym.make("imujoco/hopper-friction-v0", **options)
+@pytest.mark.parametrize(
+    ("name", "options", "size"),
+    [
+        ("imujoco/hopper-friction-v0", {"weights": {"hopper-frictiondec_25_feet": 9.0}}, 12),
+        ("imujoco/hopper-randomised-v0", {"ranges": {"mass/torsogeom": [-50, 100]}}, 12),
+    ],
+)
+def test_a_drawing_environment_survives_pickle_json_and_vectors(
+    name: str, options: dict[str, Any], size: int
+) -> None:
+    env = gym.make(name, **options, observe_context=True)
+    assert env.spec.id == name
+    assert env.observation_space.shape == (size,)
     stored = EnvSpec.from_json(env.spec.to_json())
     assert stored == env.spec
     others = [gym.make(stored), pickle.loads(pickle.dumps(env.unwrapped))]
-    vector = gym.make_vec("imujoco/hopper-friction-v0", num_envs=3, vectorization_mode="sync", **options)
+    vector = gym.make_vec(name, num_envs=3, vectorization_mode="sync", **options, observe_context=True)
     rows, infos = vector.reset(seed=[1, 2, 3])
     for index, seed in enumerate((1, 2, 3)):
         observation, info = env.reset(seed=seed)
@@ -136,6 +146,7 @@ def test_a_drawing_environment_survives_pickle_json_and_vectors() -> None:
         assert np.array_equal(rows[index], observation)
         assert infos["variant"][index] == info["variant"]
         assert np.array_equal(infos["context"][index], info["context"])
+        assert np.array_equal(observation[-1:], info["context"])
     vector.close()
 
 

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import pickle
-import warnings
-
 import gymnasium as gym
 import mujoco
 import numpy as np
 import pytest
-from gymnasium.envs.registration import EnvSpec
-from gymnasium.utils.env_checker import check_env
 
 import imujoco_minari
 from imujoco_minari.envs.mjcf import canonical_mjcf, compile_mjcf, variant_model
@@ -104,38 +99,6 @@ def test_unseeded_resets_go_on_drawing() -> None:
     env.reset(seed=1)
     assert [env.reset()[1]["variant"] for _ in range(3)] == first
     assert len(set(first)) == 3
-
-
-def test_the_environment_survives_pickle_json_and_vectors() -> None:
-    env = imujoco_minari.randomised("hopper", RANGES, observe_context=True)
-    assert env.spec.id == NAME
-    assert env.observation_space.shape == (14,)
-    stored = EnvSpec.from_json(env.spec.to_json())
-    assert stored == env.spec
-    others = [
-        gym.make(stored),
-        gym.make(NAME, ranges=RANGES, observe_context=True),
-        pickle.loads(pickle.dumps(env.unwrapped)),
-    ]
-    vector = gym.make_vec(NAME, num_envs=2, vectorization_mode="sync", ranges=RANGES, observe_context=True)
-    rows, infos = vector.reset(seed=[7, 8])
-    for index, seed in enumerate((7, 8)):
-        observation, info = env.reset(seed=seed)
-        assert np.array_equal(observation[-3:], info["context"])
-        for other in others:
-            assert np.array_equal(other.reset(seed=seed)[0], observation)
-        assert np.array_equal(rows[index], observation)
-        assert infos["variant"][index] == info["variant"]
-        assert np.array_equal(infos["context"][index], info["context"])
-    vector.close()
-
-
-def test_gymnasiums_own_check_is_clean() -> None:
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        env = imujoco_minari.randomised("walker2d", {"mass/leggeom": (-50, 50)})
-        check_env(env.unwrapped, skip_render_check=True)
-    assert not [str(w.message) for w in caught if "infinity" not in str(w.message)]
 
 
 def test_a_variant_can_be_chosen_outside_the_ranges_too() -> None:

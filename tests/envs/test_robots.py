@@ -44,6 +44,7 @@ def test_an_id_is_made_by_its_module_prefix_in_a_process_that_has_not_imported_u
         "walker2d-frictiondec_50_feet",
         "walker2d-all",
         "hopper-length",
+        "walker2d-randomised",
     ],
 )
 def test_gymnasiums_own_check_is_clean(name: str) -> None:

@@ -12,8 +12,8 @@ from random_actors import random_actor
 from safetensors.numpy import save_file
 
 from imujoco_minari.envs.registration import make
-from imujoco_minari.errors import DatasetExistsError, PolicyError, PolicyNotFoundError
-from imujoco_minari.policies import Actor, RandomPolicy, expert_actor, load_policy, read_actor
+from imujoco_minari.errors import DatasetExistsError, PolicyError
+from imujoco_minari.policies import Actor, RandomPolicy, load_policy, read_actor
 from imujoco_minari.policies.sb3 import export_zip
 from imujoco_minari.variants import Variant
 
@@ -100,13 +100,6 @@ def test_a_policy_of_another_robot_is_refused_with_the_robot_that_it_fits(tmp_pa
     ):
         load_policy(HOPPER, path=path)
     assert isinstance(load_policy("walker2d-base", path=path), Actor)
-
-
-def test_a_missing_policy_says_how_to_get_one(tmp_path: Path) -> None:
-    with pytest.raises(PolicyNotFoundError, match="imujoco train ant-base"):
-        expert_actor(Variant.parse("ant-base"))
-    with pytest.raises(PolicyNotFoundError, match=r"no policy file at .*nothing\.zip"):
-        load_policy(HOPPER, path=tmp_path / "nothing.zip")
 
 
 def test_broken_and_foreign_files_are_named(tmp_path: Path) -> None:

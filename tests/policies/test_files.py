@@ -341,11 +341,6 @@ class TestPaths:
         save_file(dict(random_actor().weights), tmp_path / "a.safetensors")
         assert isinstance(read_actor(str(tmp_path / "a.safetensors")), Actor)
 
-    @pytest.mark.parametrize("path", [None, 5, b"x.zip"])
-    def test_another_type_is_refused(self, path: Any) -> None:
-        with pytest.raises(PolicyError, match=r"is named by a str or a Path, not by (NoneType|int|bytes)"):
-            read_actor(path)
-
     def test_a_missing_file_is_named(self) -> None:
         with pytest.raises(PolicyNotFoundError, match=r"no policy file at x\.zip"):
             read_actor("x.zip")

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from random_actors import random_actor
 from safetensors.numpy import save_file
 
 from imujoco_minari.cli.app import run
@@ -31,22 +32,14 @@ VARIANTS = tuple(
 )
 
 
-def actor(seed: int, sizes: tuple[int, int] = (11, 3)) -> Actor:
-    rng = np.random.default_rng(seed)
-    shapes = {
-        "latent_pi.0.weight": (8, sizes[0]),
-        "latent_pi.0.bias": (8,),
-        "mu.weight": (sizes[1], 8),
-        "mu.bias": (sizes[1],),
-        "log_std.weight": (sizes[1], 8),
-        "log_std.bias": (sizes[1],),
-    }
-    return Actor({name: rng.standard_normal(shape).astype(np.float32) for name, shape in shapes.items()})
+def actor(units: int, *sizes: int) -> Actor:
+    """An actor that differs from those with other numbers of hidden units."""
+    return random_actor(*sizes, widths=(units,))
 
 
 @pytest.fixture
 def policies() -> dict[str, Policy]:
-    return {"hopper-base": actor(0), "mine": actor(1), "random": RandomPolicy(3)}
+    return {"hopper-base": actor(4), "mine": actor(1), "random": RandomPolicy(3)}
 
 
 @pytest.fixture
@@ -150,7 +143,7 @@ def test_a_policy_of_another_robot_is_refused_before_the_work(
     tmp_path: Path, evaluated: list[tuple[str, str]]
 ) -> None:
     with pytest.raises(PolicyError, match="it fits halfcheetah and walker2d"):
-        evaluate_transfer({"a": actor(0), "b": actor(0, (17, 6))}, VARIANTS, tmp_path / "state.json")
+        evaluate_transfer({"a": actor(4), "b": actor(2, 17, 6)}, VARIANTS, tmp_path / "state.json")
     assert evaluated == []
 
 

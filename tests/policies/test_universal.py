@@ -124,7 +124,7 @@ def test_a_weak_folded_expert_is_named_with_what_to_do(monkeypatch: pytest.Monke
     assert weakness_of(Variant.parse(UNLISTED)) == ""
 
 
-@pytest.mark.parametrize("text", ["[]", "{}", '{"robot": "hopper", "ranges": {}, "algorithm": "SAC"}', "x"])
+@pytest.mark.parametrize("text", ["[]", "x"])
 def test_a_broken_record_is_named(tmp_path: Path, text: str) -> None:
     (tmp_path / "hopper-universal.safetensors").write_bytes(b"")
     with pytest.raises(PolicyNotFoundError, match=r"hopper-universal\.json is missing"):
@@ -158,15 +158,17 @@ def test_episodes_of_ranges_are_acted_by_the_policy_that_is_told_what_was_drawn(
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"ranges": {}}, "KeyError"),
+        ({"ranges": {}}, "'mass/torsogeom' is missing"),
         ({"ranges": 3}, "TypeError"),
         ({"algorithm": 3}, "algorithm a text"),
         ({"measured": []}, "measured must be a table"),
+        ({"measured": None}, "measured must be a table"),
+        ({"measured": {"hopper-base": None}}, "the evaluations must be a table"),
         ({"robot": "horse"}, "unknown robot 'horse'"),
         ("[nan, 1]", "two finite numbers"),
         ("[1, 1e999]", "two finite numbers"),
         ("[2, 1]", "the lower one first"),
-        ("[0, 1, 2]", "ValueError"),
+        ("[0, 1, 2]", "inhomogeneous"),
         (f"[0, 1{'0' * 400}]", "OverflowError"),
         ("[" * 100_000, "RecursionError"),
     ],
@@ -190,22 +192,16 @@ def test_a_malformed_record_is_named_in_one_line(
     assert "\n" not in str(caught.value)
 
 
-def test_files_of_another_robot_or_with_other_measurements_are_named(tmp_path: Path) -> None:
+def test_files_of_another_robot_are_named(tmp_path: Path) -> None:
     for ending in ("json", "safetensors"):
         file = tmp_path / f"hopper-universal.{ending}"
         file.write_bytes((shipped_folder() / f"walker2d-universal.{ending}").read_bytes())
     with pytest.raises(PolicyError, match="this is the universal policy of walker2d, not of hopper"):
         universal_policy("hopper", tmp_path)
-    record = json.loads((shipped_folder() / "walker2d-universal.json").read_text("utf-8"))
-    for measured in ({"walker2d-base": None}, None):
-        text = json.dumps(record | {"measured": measured})
-        (tmp_path / "hopper-universal.json").write_text(text)
-        with pytest.raises(PolicyError, match="not the record of a universal policy"):
-            universal_policy("hopper", tmp_path)
 
 
 def test_weights_of_any_size_are_not_read(tmp_path: Path) -> None:
-    (tmp_path / "hopper-universal.json").write_text("{}")
+    shutil.copy(shipped_folder() / "hopper-universal.json", tmp_path)
     with (tmp_path / "hopper-universal.safetensors").open("wb") as file:
         file.truncate(2**40)
     with pytest.raises(PolicyError, match=f"has {2**40} bytes; the limit is"):

@@ -16,11 +16,17 @@ from imujoco_minari.policies.universal import FIRST_WEIGHT, UniversalPolicy
 from imujoco_minari.training import universal
 from imujoco_minari.training.agents import load_arrays
 from imujoco_minari.training.critics import with_context
-from imujoco_minari.training.distilling import Distilling, Lesson, best_teacher, best_told, distil
-from imujoco_minari.training.plan import Plan
+from imujoco_minari.training.distilling import (
+    Distilling,
+    Lesson,
+    best_teacher,
+    best_told,
+    distil,
+    with_unused_context,
+)
 from imujoco_minari.training.run import Progress
 from imujoco_minari.training.starts import best_start
-from imujoco_minari.training.task import Task
+from imujoco_minari.training.task import Plan, Task
 from imujoco_minari.training.universal import drawn_variant, train_universal
 from imujoco_minari.variants import CATEGORIES, Variant
 from imujoco_minari.variants.context import parameters
@@ -33,7 +39,7 @@ SMALL = Distilling(rounds=2, steps=60, updates=400)
 
 
 def lesson(variant: Variant) -> Lesson:
-    return Lesson(variant, expert_actor(variant), str(variant), 1.0)
+    return Lesson(variant, expert_actor(variant), 1.0)
 
 
 def silent() -> Actor:
@@ -42,10 +48,11 @@ def silent() -> Actor:
 
 
 def test_the_student_is_told_its_variant_and_acts_as_its_teacher() -> None:
-    lessons, told = [lesson(BASE), Lesson(HEAVY, silent(), "silent", 0.1)], []
-    weights = distil(lessons, expert_actor(BASE), SMALL, lambda each, _: told.append(each))
-    assert [each.number for each in told] == [1, 2]
-    again = distil(lessons, expert_actor(BASE), SMALL)
+    lessons, lines = [lesson(BASE), Lesson(HEAVY, silent(), 0.1)], []
+    start = with_unused_context(expert_actor(BASE), len(parameters("hopper")))
+    weights = distil(lessons, start, SMALL, lines.append)
+    assert [line[:8] for line in lines] == ["round 1:", "round 2:"]
+    again = distil(lessons, start, SMALL)
     assert all(np.array_equal(array, weights[name]) for name, array in again.items())
     count, rng = len(parameters("hopper")), np.random.default_rng(0)
     floats = {name: array.astype(np.float32) for name, array in weights.items()}
@@ -60,8 +67,9 @@ def test_the_student_is_told_its_variant_and_acts_as_its_teacher() -> None:
 def test_the_best_of_several_policies_teaches() -> None:
     walker = Variant("walker2d")
     still = Actor({name: 0 * array for name, array in expert_actor(walker).weights.items()})
-    found = best_teacher(walker, {"still": still, "expert": expert_actor(walker)}, 5000.0)
-    assert found.name == "expert"
+    expert = expert_actor(walker)
+    found = best_teacher(walker, [still, expert], 5000.0)
+    assert found.teacher is expert
     assert found.share > 0.9
 
 

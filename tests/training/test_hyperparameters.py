@@ -12,8 +12,8 @@ from imujoco_minari.cli.app import run
 from imujoco_minari.errors import CatalogueError
 from imujoco_minari.training import sweep
 from imujoco_minari.training.hyperparameters import SCRATCH, WARM, hyperparameter_changes, hyperparameters
-from imujoco_minari.training.plan import Plan
 from imujoco_minari.training.sweep import Trained
+from imujoco_minari.training.task import Plan
 from imujoco_minari.variants import ROBOTS, Variant, specification
 
 

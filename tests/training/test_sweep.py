@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -32,11 +31,10 @@ from imujoco_minari.training.agents import (
     save_arrays,
 )
 from imujoco_minari.training.hyperparameters import SCRATCH, WARM, hyperparameters
-from imujoco_minari.training.plan import Plan
 from imujoco_minari.training.run import Run
 from imujoco_minari.training.selection import CHOOSING_SEED, Look
 from imujoco_minari.training.sweep import Trained, train, train_all
-from imujoco_minari.training.task import Task
+from imujoco_minari.training.task import Plan, Task
 from imujoco_minari.variants import Variant
 
 BASE = Variant.parse("hopper-base")
@@ -256,7 +254,7 @@ def _evaluation(value: float, episodes: int) -> Evaluation:
 def test_a_near_start_is_held_to_what_it_began_as(tmp_path: Path) -> None:
     task = sweep.task(LIGHT_LEG, Plan(tmp_path, tmp_path, changes=TINY))
     seen = np.array([1.25, *[0.0] * 10]) + 0.1 * np.random.default_rng(0).normal(size=(200, 11))
-    begun = actor_of(agent_actor(task.agent), "hopper").act(seen, np.random.default_rng(0))
+    begun = actor_of(agent_actor(task.start.agent), "hopper").act(seen, np.random.default_rng(0))
 
     def moved(alpha: float) -> float:
         settings = replace(task.settings, anchor=alpha, exploration_steps=60, learning_rate=1e-3)
@@ -316,9 +314,7 @@ def test_a_score_below_zero_is_improved(tmp_path: Path, monkeypatch: pytest.Monk
     run.close()
 
 
-@pytest.mark.parametrize(
-    ("share", "rate", "anchor"), [(-0.1, 1e-3, 0), (0.5, 1e-3, 0), (0.89, 1e-3, 0), (0.95, 3e-4, 20)]
-)
+@pytest.mark.parametrize(("share", "rate", "anchor"), [(0.89, 1e-3, 0), (0.95, 3e-4, 20)])
 def test_a_near_start_takes_smaller_steps_and_is_held(
     share: float, rate: float, anchor: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -349,18 +345,6 @@ def test_a_weak_outcome_says_what_may_do_better(
     for outcome in (Trained(LIGHT_LEG, record, created=True), Trained(LIGHT_LEG, record, tried=record)):
         printed = " ".join(describe_trained(outcome, Plan(tmp_path)))
         assert (command in printed) if command else ("may do better" not in printed)
-
-
-def test_a_broken_record_is_named(home: Path) -> None:
-    folder = policies_folder()
-    folder.mkdir(parents=True)
-    (folder / "hopper-massinc_12_leggeom.json").write_text("{")
-    with pytest.raises(PolicyError, match="not a training record"):
-        expert_record(Variant.parse("hopper-massinc_12_leggeom"))
-    record = dict(expert_record(BASE)) | {"variant": "hopper-massinc_12_leggeom"}
-    (folder / "hopper-massinc_12_leggeom.json").write_text(json.dumps(record))
-    with pytest.raises(PolicyNotFoundError, match=r"but hopper-massinc_12_leggeom\.safetensors is missing"):
-        expert_actor(Variant.parse("hopper-massinc_12_leggeom"))
 
 
 def test_a_run_that_does_not_beat_a_folded_policy_without_evaluation_is_described(tmp_path: Path) -> None:

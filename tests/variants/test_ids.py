@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import pickle
+
 import gymnasium as gym
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -19,6 +22,8 @@ from imujoco_minari.variants import (
     parse_dataset_id,
     specification,
 )
+from imujoco_minari.variants.context import parameters, percents
+from imujoco_minari.variants.original import names_variant
 
 
 def test_catalogue_has_the_published_counts() -> None:
@@ -47,10 +52,10 @@ def test_filters_keep_what_they_name(robot: str, category: str) -> None:
 
 
 @st.composite
-def variants(draw: st.DrawFn, most: int = 3, decimals: int = 2) -> Variant:
+def variants(draw: st.DrawFn) -> Variant:
     robot = draw(st.sampled_from(known_robots()))
     found: dict[tuple[str, str], Change] = {}
-    for _ in range(draw(st.integers(1, most))):
+    for _ in range(draw(st.integers(1, 3))):
         category = draw(st.sampled_from(sorted(specification(robot).categories)))
         listing = specification(robot).categories[category]
         # A group and one of its members are the same parameter.
@@ -58,8 +63,8 @@ def variants(draw: st.DrawFn, most: int = 3, decimals: int = 2) -> Variant:
         body = draw(st.sampled_from(sorted(names)))
         if found and set(listing.names(body)) & {n for c in found.values() for n in c.mjcf_names(robot)}:
             continue
-        percent = draw(st.integers(-99 * 10**decimals, 0 if category == "joint" else 10 ** (4 + decimals)))
-        found[category, body] = Change(category, percent / 10**decimals, body)
+        hundredths = draw(st.integers(-9999, 0 if category == "joint" else 10**6))
+        found[category, body] = Change(category, hundredths / 100, body)
     return Variant(robot, tuple(draw(st.permutations(list(found.values())))))
 
 
@@ -69,14 +74,28 @@ def test_parsing_undoes_formatting(variant: Variant) -> None:
     assert Variant.parse(variant.environment_id) == variant
     assert parse_dataset_id(variant.dataset_id()) == (variant, "expert")
     assert parse_dataset_id(variant.dataset_id("medium-expert")) == (variant, "medium-expert")
+    assert names_variant(variant.dataset_id("random"))
+    assert pickle.loads(pickle.dumps(variant)) == variant
     assert all(change.factor == pytest.approx(1 + change.percent / 100) for change in variant.changes)
+    assert list(percents(variant)) == [
+        name for name in parameters(variant.robot, groups=True) if name in percents(variant)
+    ]
     assert gym.envs.registration.parse_env_id(variant.environment_id)[1] == str(variant)
+
+
+@given(st.integers(-9999, 1_000_000))
+def test_a_percent_of_two_decimals_reads_back(hundredths: int) -> None:
+    change = Change("mass", hundredths / 100, "leggeom")
+    assert Change.parse(str(change)) == change
+    assert isinstance(change.percent, int) == (hundredths % 100 == 0)
+    assert round(change.factor * 10_000) == 10_000 + hundredths
 
 
 def test_the_order_of_changes_does_not_matter() -> None:
     one = Variant.parse("hopper-frictiondec_50_feet-massinc_37p5_torsogeom")
     assert str(one) == "hopper-massinc_37p5_torsogeom-frictiondec_50_feet"
     assert one == Variant("hopper", tuple(reversed(one.changes)))
+    assert one.base == Variant.parse("hopper-base") == Variant("hopper")
     assert [change.percent for change in one.changes] == [37.5, -50]
     assert (one.category, one.body, one.percent) == ("compound", "", 0)
     assert one.mjcf_names == ("torso_geom", "foot_geom")
@@ -125,6 +144,10 @@ def test_any_text_is_a_variant_or_a_variant_error(text: str) -> None:
         ("hopper-massinc_37p50_leggeom", ["as 'massinc_37p5_leggeom'"]),
         ("hopper-massinc_1p1234567_leggeom", ["at most two decimals"]),
         ("hopper-massinc_5_leggeom-base", ["malformed"]),
+        ("hopper-massinc_5_leggeom-random", ["malformed variant id"]),
+        ("hopper-massinc_5_leggeom-massdec_5_legeom", ["no body 'legeom'", "did you mean"]),
+        ("hopper-massdec_100p5_leggeom", ["leaves nothing of the mass"]),
+        ("hopper-massinc_50p0_leggeom", ["as 'massinc_50_leggeom'"]),
         ("hopper-massdec_025_leggeom", ["as 'massdec_25_leggeom'"]),
         ("hopper-massdec_0_leggeom", ["as 'massinc_0_leggeom'"]),
         ("crab-base", ["unknown robot 'crab'", "valid: hopper, halfcheetah, walker2d, "]),
@@ -178,3 +201,12 @@ def test_a_wrong_tier_is_refused(tier: str) -> None:
 def test_a_dataset_id_in_place_of_a_variant_id_names_its_variant(variant: str) -> None:
     with pytest.raises(VariantError, match=f"is a dataset id, not a variant id; its variant is '{variant}'$"):
         Variant.parse(f"imujoco/{variant}-medium-expert-v0")
+
+
+def test_a_percent_is_a_number() -> None:
+    for percent in (np.int64(50), np.float32(50), np.float64(50)):
+        change = Change("mass", percent, "leggeom")  # type: ignore[arg-type]
+        assert (str(change), type(change.percent)) == ("massinc_50_leggeom", int)
+    for percent in (0.125, float("nan"), float("inf"), True, np.True_, "5"):
+        with pytest.raises(VariantError, match="number with at most two decimals"):
+            Change("mass", percent, "leggeom")  # type: ignore[arg-type]

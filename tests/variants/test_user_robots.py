@@ -149,6 +149,13 @@ def test_another_page_of_a_robot_is_refused(folder: Path) -> None:
         ),
         ("strong.toml", '"rooty"]', '"rootyaw"]', ["no joint 'rootyaw'", "rootx, rootz"]),
         ("strong.toml", "= 125", "= 50", ["steps_per_second = 50, but its environment has 125"]),
+        ("strong.toml", "[0.7, inf]", "[70.0, inf]", ["not healthy at rest"]),
+        (
+            "strong.toml",
+            '"Hopper-v5"',
+            '"HalfCheetah-v5"',
+            ["healthy_z_range, which HalfCheetah-v5 does not take"],
+        ),
         ("strong.toml", "action_size = 3", "action_size = 4", ["action_size = 4, but its environment has 3"]),
         ("strong.toml", "description", "describe", ["[splits.mass-v1] must hold description, held_out and"]),
         ("strong.toml", "{ category", "{ categories", ["[splits.mass-v1] unknown rule 'categories'"]),
@@ -168,7 +175,7 @@ def test_another_page_of_a_robot_is_refused(folder: Path) -> None:
         ("strong.xml", "<worldbody>", "<world>", ["not XML"]),
         ("motors.xml", "<actuator>", '<include file="motors.xml"/><actuator>', ["which includes itself"]),
         ("strong.toml", 'feet = ["foot_geom"]', 'feet = ["boot_geom"]', ["no geom 'boot_geom'"]),
-        ("motors.xml", "<actuator>", "<actuator>" + "<a>" * 2000 + "</a>" * 2000, ["nested deeper than 100"]),
+        ("motors.xml", "<actuator>", "<actuator>" + "<a>" * 2000 + "</a>" * 2000, ["nested too deep"]),
         ("motors.xml", "<actuator>", "<!--" + " " * 2**20 + "--><actuator>", ["more than 1048576 bytes"]),
     ],
 )

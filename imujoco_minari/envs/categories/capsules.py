@@ -35,19 +35,10 @@ def compile_shape(spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 
 def _reshape(edit: Edit, body: mujoco.MjsBody, *, length: float = 1.0, radius: float = 1.0) -> None:
-    """Scale the length of a capsule's segment and its radius. The density stays.
+    """Scale the length of the segment of a body that is one capsule, and its radius. The density stays.
 
     The point of the segment nearest to the limb's joint stays where it is, or the centre if the limb has no
     joint of its own. Child bodies move with the end that they are attached to.
-
-    Args:
-        edit: the change.
-        body: a body of the model that is one capsule.
-        length: factor on the length.
-        radius: factor on the radius.
-
-    Raises:
-        ModelError: when the body has another shape.
     """
     if len(body.geoms) != 1 or body.geoms[0].type != mujoco.mjtGeom.mjGEOM_CAPSULE:
         raise ModelError(f"body {body.name!r} is not one capsule, so its shape cannot change")
@@ -96,18 +87,17 @@ def _rotated(vector: Floats, quat: Floats) -> Floats:
     return result
 
 
-def _stretch(edit: Edit) -> None:
-    # From mass to density and back would cost the last bit.
-    if edit.factor != 1.0:
-        for body in find_all(edit, "limb"):
-            _reshape(edit, body, length=edit.factor)
+def _reshaping(name: str, noun: str, dimension: str) -> CategoryLaw:
+    """Return the category that scales ``length`` or ``radius`` of a limb."""
+
+    def apply(edit: Edit) -> None:
+        # From mass to density and back would cost the last bit.
+        if edit.factor != 1.0:
+            for body in find_all(edit, "limb"):
+                _reshape(edit, body, **{dimension: edit.factor})
+
+    return CategoryLaw(name, noun, noun, "limb", apply, _FIELDS, moves_limbs=True)
 
 
-def _thicken(edit: Edit) -> None:
-    if edit.factor != 1.0:
-        for body in find_all(edit, "limb"):
-            _reshape(edit, body, radius=edit.factor)
-
-
-LENGTH = CategoryLaw("length", "length", "length", "limb", _stretch, _FIELDS, moves_limbs=True)
-SIZE = CategoryLaw("size", "thickness", "thickness", "limb", _thicken, _FIELDS, moves_limbs=True)
+LENGTH = _reshaping("length", "length", "length")
+SIZE = _reshaping("size", "thickness", "radius")
