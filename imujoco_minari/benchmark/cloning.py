@@ -1,7 +1,7 @@
-"""Methods of behaviour cloning: from scratch, from the base's expert, and from all training variants.
+"""Behaviour cloning: from scratch, from the base's expert, from all training variants, and of offline data.
 
-Each starts from a network and minimises the squared error to the demonstrated actions. They differ in
-where the network comes from.
+Each starts from a network and minimises the squared error to the actions of the data. They differ in where
+the network comes from.
 """
 
 from __future__ import annotations
@@ -12,7 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from imujoco_minari.benchmark.networks import Network, bind, clone, new_policy, of_actor, to_actor
+from imujoco_minari.benchmark.networks import (
+    BATCH,
+    Initial,
+    Network,
+    bind,
+    clone,
+    new_policy,
+    of_actor,
+    to_actor,
+)
 from imujoco_minari.benchmark.protocol import STEPS
 from imujoco_minari.loading import Arrays, Origin, Statistics
 from imujoco_minari.loading.statistics import measure
@@ -122,26 +131,59 @@ class MultiVariant(Pretrained):
         return {0: to_actor(network, self._statistics, "behaviour cloning")}
 
 
+@dataclass(frozen=True)
+class Cloning:
+    """Behaviour cloning of offline data, of all episodes or of those with the highest returns.
+
+    Attributes:
+        seed: seed of the weights and of the batches.
+        checkpoints: numbers of gradient steps after which the policy is kept.
+        best: share of the steps to clone, of the episodes with the highest returns.
+        rate: learning rate.
+        batch: rows of a batch.
+        initial: distribution of the initial weights.
+    """
+
+    seed: int
+    checkpoints: tuple[int, ...]
+    best: float = 1.0
+    rate: float = 3e-4
+    batch: int = BATCH
+    initial: Initial = "pytorch"
+
+    def train(self, data: Arrays) -> dict[int, Actor]:
+        """Return the policy at each checkpoint."""
+        order = np.argsort(-data.returns, kind="stable")
+        steps = np.cumsum(data.episode_lengths[order])
+        # At least one episode.
+        kept = data.select(np.sort(order[: 1 + np.searchsorted(steps, self.best * len(data))]))
+        network = new_policy(kept.observations, kept.actions, self.seed, self.initial)
+        statistics = robust_statistics(kept.observations)
+        return fine_tune(network, statistics, kept, self.rate, self.seed, self.checkpoints, self.batch)
+
+
 def fine_tune(
     network: Network,
     statistics: Statistics,
-    demonstrations: Arrays,
+    data: Arrays,
     rate: float,
     seed: int,
     checkpoints: tuple[int, ...],
+    batch: int = BATCH,
 ) -> dict[int, Actor]:
-    """Clone the demonstrations from a given network, and return the policy after each number of steps.
+    """Clone data from a given network, and return the policy after each number of steps.
 
     Args:
         network: takes observations that ``statistics`` normalise.
         statistics: of the observations.
-        demonstrations: the data.
+        data: the data.
         rate: learning rate.
         seed: seed of the batches.
         checkpoints: the numbers of steps.
+        batch: rows of a batch.
     """
-    inputs = statistics.normalize(demonstrations.observations)
-    networks = clone(network, inputs, demonstrations.actions, checkpoints, rate=rate, seed=seed)
+    inputs = statistics.normalize(data.observations)
+    networks = clone(network, inputs, data.actions, checkpoints, rate=rate, seed=seed, batch=batch)
     return {steps: to_actor(found, statistics, "behaviour cloning") for steps, found in networks.items()}
 
 

@@ -18,8 +18,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from imujoco_minari.benchmark.cloning import Cloning
+from imujoco_minari.benchmark.critics import Iql, Td3Bc
 from imujoco_minari.benchmark.evaluating import episode_returns
-from imujoco_minari.benchmark.iql import Iql
 from imujoco_minari.benchmark.lines import (
     Line,
     append_lines,
@@ -33,9 +34,7 @@ from imujoco_minari.benchmark.lines import (
     versions,
 )
 from imujoco_minari.benchmark.methods import settings_of
-from imujoco_minari.benchmark.offline_cloning import Cloning
 from imujoco_minari.benchmark.protocol import EVALUATION_EPISODES
-from imujoco_minari.benchmark.td3_bc import Td3Bc
 from imujoco_minari.errors import BenchmarkChoiceError, BenchmarkError
 from imujoco_minari.loading import Arrays, arrays
 from imujoco_minari.policies.tiers import LARGE_TIERS
