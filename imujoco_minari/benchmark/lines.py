@@ -55,30 +55,35 @@ def _read(path: Path) -> tuple[list[Line], dict[str, Line]]:
     if not path.exists():
         return lines, facts
     try:
-        *whole, _ = path.read_text("utf-8").split("\n")
-    except (OSError, UnicodeDecodeError) as error:
+        *whole, _ = path.read_bytes().split(b"\n")
+    except OSError as error:
         raise BenchmarkError(f"{path}: cannot be read: {error}") from None
     for number, text in enumerate(whole, start=1):
         try:
-            if (line := expanded(json.loads(text), facts)) is not None:
+            if (line := parsed(text, facts)) is not None:
                 line["results"].items()
                 lines.append(line)
-        # Deep nesting exhausts the stack.
-        except (ValueError, KeyError, AttributeError, TypeError, RecursionError):
+        except (ValueError, KeyError, AttributeError):
             raise BenchmarkError(f"{path}, line {number}: not a result of the benchmark") from None
     return lines, facts
 
 
-def expanded(entry: Any, facts: dict[str, Line]) -> Line | None:
+def parsed(text: bytes, facts: dict[str, Line]) -> Line | None:
     """Return the line that an entry stands for, or None if the entry only adds to the facts.
 
     Args:
-        entry: any JSON value.
+        text: JSON in UTF-8.
         facts: the facts of the entries before it, by name.
 
     Raises:
         ValueError: if the entry is malformed, or names facts that are not stated before it.
     """
+    try:
+        # Of bytes, json would take other encodings too.
+        entry = json.loads(text.decode("utf-8"))
+    # Deep nesting exhausts the stack.
+    except (ValueError, RecursionError):
+        entry = None
     if not isinstance(entry, dict):
         raise ValueError("not a JSON object")
     stated, name = entry.get("facts", []), entry.get("name")
