@@ -26,25 +26,32 @@ from imujoco_minari.benchmark.protocol import STEPS
 from imujoco_minari.loading import Arrays, Origin, Statistics
 from imujoco_minari.loading.statistics import measure
 from imujoco_minari.policies import Actor, Array, expert_actor
+from imujoco_minari.policies.universal import whole_context
 from imujoco_minari.variants import Variant
-from imujoco_minari.variants.context import context, parameters
 
 # An observation that hardly varies in the data says little, but a large number of it would say much.
 _LEAST_STD = 0.01
 
 
 @dataclass
-class Scratch:
-    """Behaviour cloning of the demonstrations alone, from random weights.
+class FineTuned:
+    """A method that fine-tunes a policy on the demonstrations.
 
     Attributes:
         seed: seed of the weights and of the batches.
-        rate: learning rate.
-        steps: numbers of steps after which it returns the policy.
+        rate: learning rate of the fine-tuning.
+        steps: numbers of steps of the fine-tuning after which it returns the policy.
     """
 
     seed: int = 0
     rate: float = 3e-4
+    steps: tuple[int, ...] = STEPS
+
+
+@dataclass
+class Scratch(FineTuned):
+    """Behaviour cloning of the demonstrations alone, from random weights."""
+
     steps: tuple[int, ...] = STEPS[1:]
 
     def adapt(self, demonstrations: Arrays) -> Mapping[int, Actor]:
@@ -55,18 +62,8 @@ class Scratch:
 
 
 @dataclass
-class BaseExpert:
-    """The base robot's expert: as it is after 0 steps, then fine-tuned on the demonstrations.
-
-    Attributes:
-        seed: seed of the batches.
-        rate: learning rate.
-        steps: numbers of steps after which it returns the policy.
-    """
-
-    seed: int = 0
-    rate: float = 3e-4
-    steps: tuple[int, ...] = STEPS
+class BaseExpert(FineTuned):
+    """The base robot's expert: as it is after 0 steps, then fine-tuned on the demonstrations."""
 
     def adapt(self, demonstrations: Arrays) -> Mapping[int, Actor]:
         """Return the policies after each number of steps on the demonstrations."""
@@ -77,22 +74,16 @@ class BaseExpert:
 
 
 @dataclass
-class Pretrained:
+class Pretrained(FineTuned):
     """A network that ``fit`` learns from the training variants, and ``adapt`` fine-tunes.
 
     Attributes:
-        seed: seed of the weights and of the batches.
-        rate: learning rate of the fine-tuning.
         fit_rate: learning rate on the training variants.
         fit_steps: steps on the training variants.
-        steps: numbers of steps of the fine-tuning after which it returns the policy.
     """
 
-    seed: int = 0
-    rate: float = 3e-4
     fit_rate: float = 1e-3
     fit_steps: int = 20_000
-    steps: tuple[int, ...] = STEPS
     _network: Any = field(default=None, init=False, repr=False)
     _statistics: Any = field(default=None, init=False, repr=False)
 
@@ -189,7 +180,7 @@ def fine_tune(
 
 def context_of(origin: Origin) -> Array:
     """Return the context of a variant: the change of every parameter of its robot."""
-    return context(Variant.parse(origin.variant), parameters(origin.robot)).astype(np.float32)
+    return whole_context(Variant.parse(origin.variant)).astype(np.float32)
 
 
 def robust_statistics(observations: Array) -> Statistics:

@@ -112,8 +112,8 @@ def iterate(
     """Apply an update again and again, and return the state after each of some numbers of steps.
 
     Args:
-        update: returns the next state. JAX compiles once for each function: use one of a module, or a
-            cached one.
+        update: returns the next state. JAX compiles once for each function or equal object: use a
+            function of a module, or a cached one.
         state: a tree of arrays.
         data: arrays for the update. :func:`padded` keeps the number of compiled programs small.
         checkpoints: numbers of steps; 0 gives the state itself.
@@ -193,9 +193,7 @@ def cloning_loss(batch: int, error: Loss = squared_error) -> Loss:
 
 def padded(array: Array) -> Array:
     """Return rows as float32, with zeros below them: the number of rows becomes a power of two."""
-    size = _LEAST_ROWS
-    while size < len(array):
-        size *= 2
+    size = max(_LEAST_ROWS, 1 << (len(array) - 1).bit_length())
     whole = np.zeros((size, *array.shape[1:]), np.float32)
     whole[: len(array)] = array
     return whole

@@ -20,7 +20,6 @@ import numpy as np
 
 from imujoco_minari.benchmark.cloning import Cloning
 from imujoco_minari.benchmark.critics import Iql, Td3Bc
-from imujoco_minari.benchmark.evaluating import episode_returns
 from imujoco_minari.benchmark.lines import (
     Line,
     append_lines,
@@ -34,7 +33,7 @@ from imujoco_minari.benchmark.lines import (
     versions,
 )
 from imujoco_minari.benchmark.methods import settings_of
-from imujoco_minari.benchmark.protocol import EVALUATION_EPISODES
+from imujoco_minari.benchmark.protocol import EVALUATION_EPISODES, episode_returns
 from imujoco_minari.errors import BenchmarkChoiceError, BenchmarkError
 from imujoco_minari.loading import Arrays, arrays
 from imujoco_minari.policies.tiers import LARGE_TIERS

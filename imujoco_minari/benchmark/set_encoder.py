@@ -28,7 +28,7 @@ from imujoco_minari.benchmark.networks import (
     squared_error,
     to_actor,
 )
-from imujoco_minari.loading import Arrays, Statistics
+from imujoco_minari.loading import Arrays
 from imujoco_minari.policies import Actor
 from imujoco_minari.training.agents import import_jax
 
@@ -55,7 +55,7 @@ class SetEncoder:
     tasks: int = 8
     rows: int = 64
     _networks: Any = field(default=None, init=False, repr=False)
-    _statistics: Statistics | None = field(default=None, init=False, repr=False)
+    _statistics: Any = field(default=None, init=False, repr=False)
 
     def fit(self, train: Arrays) -> None:
         """Train encoder and policy on the training variants."""
@@ -72,7 +72,6 @@ class SetEncoder:
 
     def adapt(self, demonstrations: Arrays) -> Mapping[int, Actor]:
         """Return the policy with the context of the demonstrations."""
-        assert self._statistics is not None
         encoder, policy = self._networks
         inputs = self._statistics.normalize(demonstrations.observations)
         steps = np.concatenate((inputs, demonstrations.actions), axis=1).astype(np.float32)
