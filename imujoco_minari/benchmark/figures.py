@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
+from operator import attrgetter
 
 from imujoco_minari.benchmark.lines import Line
 from imujoco_minari.benchmark.methods import COMPARISONS
@@ -69,15 +71,14 @@ def few_shot_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
             of_group = [score for score in chosen if score.group == group]
             own = {(s.method, s.budget, s.steps): s.interval for s in of_group}
             title = f"{group}, {of_group[0].variants} variants"
-            fixed = {m: next((i for k, i in own.items() if k[0] == m), None) for m in COMPARISONS}
             methods = [m for m in in_order({key[0] for key in own}) if m not in COMPARISONS]
-            grey = {f"comparison: {m}": fixed[m] for m in COMPARISONS if fixed[m] and m != "expert"}
-            data[title] = {m: [own.get((m, b, last[m])) for b in budgets] for m in methods} | {
-                name: [interval] * len(budgets) for name, interval in grey.items()
-            }
-            descent[title] = {m: [own.get((m, TYPICAL_BUDGET, s)) for s in steps] for m in methods} | {
-                name: [interval] * len(steps) for name, interval in grey.items()
-            }
+            data[title] = {m: [own.get((m, b, last[m])) for b in budgets] for m in methods}
+            descent[title] = {m: [own.get((m, TYPICAL_BUDGET, s)) for s in steps] for m in methods}
+            for name in COMPARISONS:
+                fixed: list[Interval | None] = [own[key] for key in own if key[0] == name]
+                if fixed and name != "expert":
+                    data[title][f"comparison: {name}"] = fixed[:1] * len(budgets)
+                    descent[title][f"comparison: {name}"] = fixed[:1] * len(steps)
         tier = chosen[0].tier
         if len(budgets) > 1:
             figures.append(
@@ -151,14 +152,13 @@ def reproduction_figures(lines: Sequence[Line]) -> list[ScoreFigure]:
     if not rows:
         return []
     panels: dict[str, dict[str, list[Interval | None]]] = {}
-    for method, windows in dict.fromkeys((row.method, row.windows) for row in rows):
-        own = [row for row in rows if (row.method, row.windows) == (method, windows)]
+    for (method, windows), group in groupby(rows, attrgetter("method", "windows")):
+        own = list(group)
         panel = panels.setdefault(f"windows: {windows}", {})
         panel[method] = [(row.error, row.error - row.std, row.error + row.std) for row in own]
-        published = [row.published for row in own]
-        if any(published):
+        if any(row.published for row in own):
             panel[f"comparison: {method}, published"] = [
-                None if error is None else (error, error, error) for error in published
+                None if row.published is None else (row.published,) * 3 for row in own
             ]
     ticks = tuple(dict.fromkeys(str(row.steps) for row in rows))
     title = "The published comparison on HalfCheetah: mean of the seeds and standard deviation"

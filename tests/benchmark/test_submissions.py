@@ -168,7 +168,7 @@ def test_the_page_marks_lines_of_others_and_refuses_faulty_ones(
     own.mkdir(parents=True)
     written(own, whole)
     results = read_results(tmp_path)
-    page = results_page(results, sections(results, results.scores()))
+    page = results_page(results, sections(results))
     assert "| mine † | 2000 |" in page
     assert "† a method of others" in page
     written(own, whole[1:])
