@@ -18,7 +18,7 @@ from imujoco_minari.benchmark.maml import Maml
 from imujoco_minari.benchmark.set_encoder import SetEncoder
 from imujoco_minari.errors import BenchmarkChoiceError, BenchmarkError, clipped, unknown
 from imujoco_minari.loading import Arrays
-from imujoco_minari.policies import Actor, RandomPolicy, expert_actor, random_policy, universal_policy
+from imujoco_minari.policies import Actor, expert_actor, random_policy, universal_policy
 from imujoco_minari.variants import ROBOTS, Variant
 
 
@@ -48,25 +48,20 @@ NewMethod = Callable[[int], Method]
 
 
 @dataclass
-class RandomBound:
-    """The lower bound: random actions."""
+class Bound:
+    """A bound: a policy of the held-out variant that does not depend on the demonstrations.
+
+    Attributes:
+        seed: not used.
+        policy_of: returns the policy of a variant.
+    """
 
     seed: int
+    policy_of: Callable[[Variant], Any] = field(repr=False)
 
-    def adapt(self, demonstrations: Arrays) -> RandomPolicy:
-        """Return the random policy."""
-        return random_policy(demonstrations.table[0].robot)
-
-
-@dataclass
-class ExpertBound:
-    """The upper bound: the expert of the held-out variant."""
-
-    seed: int
-
-    def adapt(self, demonstrations: Arrays) -> Actor:
-        """Return the variant's expert."""
-        return expert_actor(Variant.parse(demonstrations.table[0].variant))
+    def adapt(self, demonstrations: Arrays) -> Any:
+        """Return the policy."""
+        return self.policy_of(Variant.parse(demonstrations.table[0].variant))
 
 
 @dataclass
@@ -100,8 +95,8 @@ METHODS: Mapping[str, NewMethod] = {
     "history": History,
     "told": partial(MultiVariant, told=True),
     "universal": UniversalBound,
-    "random": RandomBound,
-    "expert": ExpertBound,
+    "random": partial(Bound, policy_of=lambda variant: random_policy(variant.robot)),
+    "expert": partial(Bound, policy_of=expert_actor),
 }
 # The policies of these methods do not depend on the demonstrations. They run with one budget.
 COMPARISONS = ("told", "universal", "random", "expert")

@@ -15,7 +15,7 @@ from synthetic_arrays import BASE, LEG, synthetic
 from imujoco_minari.cli.app import run
 from imujoco_minari.errors import DatasetError, DatasetExistsError, DependencyError, StorageError
 from imujoco_minari.exporting import FORMATS, default_target, export, lerobot, rlds
-from imujoco_minari.exporting.tfrecord import example, record
+from imujoco_minari.exporting.rlds import example, record
 from imujoco_minari.loading import Arrays, Origin, arrays
 from imujoco_minari.storage.targets import new_target
 
