@@ -60,12 +60,10 @@ class History(Pretrained):
 
     def _clone(self, networks: Any, data: Arrays, steps: Sequence[int], rate: float) -> dict[int, Any]:
         last = np.repeat(data.episode_ends - 1, data.episode_lengths)
-        columns = (self._statistics.normalize(data.observations), data.actions)
-        padded_last = np.pad(last, (0, len(padded(last)) - len(last))).astype(np.int32)
+        inputs = padded(self._statistics.normalize(data.observations))
+        columns = (inputs, padded(data.actions), padded(last, np.int32), len(data))
         loss = sequence_loss(self.sequences, self.window)
-        return descend(
-            loss, networks, (*map(padded, columns), padded_last, len(last)), steps, rate=rate, seed=self.seed
-        )
+        return descend(loss, networks, columns, steps, rate=rate, seed=self.seed)
 
 
 class HistoryPolicy:

@@ -210,14 +210,13 @@ def data_sha256(dataset_ids: Iterable[str]) -> str:
     Raises:
         DatasetNotFoundError: if one is not in the Minari root.
     """
-    digests = [_content_sha256(dataset_id) for dataset_id in dataset_ids]
+    digests = []
+    for dataset_id in dataset_ids:
+        if not minari_root.exists(dataset_id):
+            raise not_in_root(dataset_id)
+        metadata = read_metadata(minari_root.dataset_folder(dataset_id) / "data")
+        digests.append(str(metadata.get("content_sha256", "")))
     return digests[0] if len(digests) == 1 else sha256(" ".join(digests).encode()).hexdigest()
-
-
-def _content_sha256(dataset_id: str) -> str:
-    if not minari_root.exists(dataset_id):
-        raise not_in_root(dataset_id)
-    return str(read_metadata(minari_root.dataset_folder(dataset_id) / "data").get("content_sha256", ""))
 
 
 @cache

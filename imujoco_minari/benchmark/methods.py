@@ -14,8 +14,7 @@ from typing import Any, Protocol
 
 from imujoco_minari.benchmark.cloning import BaseExpert, MultiVariant, Scratch
 from imujoco_minari.benchmark.history import History
-from imujoco_minari.benchmark.maml import Maml
-from imujoco_minari.benchmark.set_encoder import SetEncoder
+from imujoco_minari.benchmark.meta import Maml, SetEncoder
 from imujoco_minari.errors import BenchmarkChoiceError, BenchmarkError, clipped, unknown
 from imujoco_minari.loading import Arrays
 from imujoco_minari.policies import Actor, expert_actor, random_policy, universal_policy

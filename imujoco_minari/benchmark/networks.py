@@ -136,13 +136,7 @@ def descend(
 ) -> dict[int, Any]:
     """Minimise a loss with Adam, and return the network after each of some numbers of steps.
 
-    Args:
-        loss: returns the loss on a random batch: (network, key, data) -> scalar.
-        network: a network, or any tree of arrays that the loss takes.
-        data: arrays for the loss.
-        checkpoints: numbers of steps; 0 gives the network itself.
-        rate: learning rate.
-        seed: seed of the batches.
+    The network may be any tree of arrays that the loss takes; see :func:`iterate`.
     """
     states = iterate(_descent(loss), learner(network, rate), data, checkpoints, seed)
     return {steps: state.params for steps, state in states.items()}
@@ -158,13 +152,13 @@ def clone(
     seed: int,
     batch: int = BATCH,
 ) -> dict[int, Network]:
-    """Clone behaviour: minimise the squared error of ``tanh(network(inputs))`` to the actions.
+    """Clone behaviour: :func:`descend` on the squared error of ``tanh(network(inputs))`` to the actions.
 
     Args:
         network: the network to start from.
         inputs: (N, in).
         actions: (N, act), in [-1, 1].
-        checkpoints: numbers of steps; 0 gives the network itself.
+        checkpoints: numbers of steps.
         rate: learning rate.
         seed: seed of the batches.
         batch: rows of a batch, drawn with replacement.
@@ -191,10 +185,10 @@ def cloning_loss(batch: int, error: Loss = squared_error) -> Loss:
     return loss
 
 
-def padded(array: Array) -> Array:
-    """Return rows as float32, with zeros below them: the number of rows becomes a power of two."""
+def padded(array: Array, dtype: type = np.float32) -> Array:
+    """Return rows of a type, with zeros below them: the number of rows becomes a power of two."""
     size = max(_LEAST_ROWS, 1 << (len(array) - 1).bit_length())
-    whole = np.zeros((size, *array.shape[1:]), np.float32)
+    whole = np.zeros((size, *array.shape[1:]), dtype)
     whole[: len(array)] = array
     return whole
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from imujoco_minari.benchmark.cloning import robust_statistics
 from imujoco_minari.benchmark.lines import Line, data_sha256, measure_each, run_lines, versions
-from imujoco_minari.benchmark.maml import variant_blocks
+from imujoco_minari.benchmark.meta import variant_blocks
 from imujoco_minari.benchmark.networks import (
     Initial,
     Loss,

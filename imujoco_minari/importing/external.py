@@ -27,7 +27,7 @@ from imujoco_minari.policies.references import reference_scores
 from imujoco_minari.publishing.new_dataset import NewDataset, publish_episodes
 from imujoco_minari.publishing.outcome import Published
 from imujoco_minari.storage import containment, file_format, minari_root
-from imujoco_minari.storage.metadata import provenance, read_metadata
+from imujoco_minari.storage.metadata import provenance, read_metadata, texts
 from imujoco_minari.variants import Variant
 from imujoco_minari.verification.child_process import survives_walk
 
@@ -187,12 +187,11 @@ def _minari(folder: Path, robot: str) -> ExternalData:
     if not parts:
         raise DatasetError(f"{folder}: holds no episode")
     names = [field.name for field in fields(Transitions)]
-    authors = metadata.get("author")
     return ExternalData(
         "a Minari dataset",
         Transitions(*(np.concatenate([getattr(part, name) for part in parts]) for name in names)),
         algorithm=str(metadata.get("algorithm_name") or "")[:100],
-        authors=tuple(str(author)[:100] for author in authors[:20]) if isinstance(authors, list) else (),
+        authors=tuple(author[:100] for author in texts(metadata, "author")[:20]),
     )
 
 

@@ -1,9 +1,4 @@
-"""A policy conditioned on the demonstrations: a set encoder turns them into a context vector.
-
-The encoder maps each step (observation, action) to a vector; the mean over the steps is the context. The
-policy takes observation and context. Both are trained together on the training variants. Adapting needs no
-gradient step: it computes the context.
-"""
+"""Methods that learn to adapt on the training variants: first-order MAML, and a set encoder."""
 
 from __future__ import annotations
 
@@ -14,16 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from imujoco_minari.benchmark.cloning import robust_statistics
-from imujoco_minari.benchmark.maml import variant_blocks
+from imujoco_minari.benchmark.cloning import Pretrained, robust_statistics
 from imujoco_minari.benchmark.networks import (
     HIDDEN,
     Loss,
+    Network,
     bind,
     descend,
     draw_variants,
     forward,
+    gradient_step,
     new_network,
+    new_policy,
     padded,
     squared_error,
     to_actor,
@@ -36,8 +33,68 @@ _ENCODER_HIDDEN = (128, 128)
 
 
 @dataclass
+class Maml(Pretrained):
+    """First-order MAML: initial weights from which a few steps go far.
+
+    Each step of ``fit`` draws some training variants. A copy of the weights takes a few gradient steps on
+    rows of one variant; the gradient of the copy's loss on other rows of that variant moves the initial
+    weights. Maml adapts as the other methods do: by Adam on the demonstrations.
+
+    Attributes:
+        inner_rate: learning rate of the copies' steps, which are plain gradient descent.
+        inner_steps: number of the copies' steps.
+        tasks: training variants in each step.
+        rows: rows of a variant for the copy's steps, and as many others for its loss.
+    """
+
+    fit_rate: float = 5e-4
+    fit_steps: int = 5_000
+    inner_rate: float = 0.1
+    inner_steps: int = 3
+    tasks: int = 8
+    rows: int = 64
+
+    def fit(self, train: Arrays) -> None:
+        """Find initial weights on the training variants."""
+        self._statistics = robust_statistics(train.observations)
+        inputs = self._statistics.normalize(train.observations)
+        starts, counts = variant_blocks(train)
+        network = new_policy(inputs, train.actions, self.seed)
+        loss = meta_loss(self.tasks, self.rows, self.inner_steps)
+        data = (padded(inputs), padded(train.actions), starts, counts, np.float32(self.inner_rate))
+        steps = self.fit_steps
+        self._network = descend(loss, network, data, [steps], rate=self.fit_rate, seed=self.seed)[steps]
+
+
+@cache
+def meta_loss(tasks: int, rows: int, inner_steps: int) -> Loss:
+    """Return the loss of first-order MAML; its data are (inputs, actions, starts, counts, inner rate)."""
+    jax = import_jax()
+
+    def loss(network: Network, key: Any, data: tuple[Any, ...]) -> Any:
+        inputs, actions, starts, counts, inner_rate = data
+        _, drawn = draw_variants(key, starts, counts, tasks, 2 * rows)
+
+        def after_adapting(support: Any, query: Any) -> Any:
+            adapted = network
+            for _ in range(inner_steps):
+                adapted = gradient_step(
+                    adapted, lambda own: squared_error(own, inputs[support], actions[support]), inner_rate
+                )
+            return squared_error(adapted, inputs[query], actions[query])
+
+        return jax.vmap(after_adapting)(drawn[:, :rows], drawn[:, rows:]).mean()
+
+    return loss
+
+
+@dataclass
 class SetEncoder:
-    """A policy conditioned on the demonstrations by a set encoder.
+    """A policy conditioned on the demonstrations: a set encoder turns them into a context vector.
+
+    The encoder maps each step (observation, action) to a vector; the mean over the steps is the context.
+    The policy takes observation and context. Both are trained together on the training variants. Adapting
+    needs no gradient step: it computes the context.
 
     Attributes:
         seed: seed of the weights and of the batches.
@@ -97,3 +154,9 @@ def conditioned_loss(tasks: int, rows: int) -> Loss:
         return squared_error(policy, jnp.concatenate((inputs[asked], context), axis=-1), actions[asked])
 
     return loss
+
+
+def variant_blocks(train: Arrays) -> tuple[Any, Any]:
+    """Return the first row and the number of rows of each variant, whose rows must lie together."""
+    _, starts, counts = np.unique(train.variant_index, return_index=True, return_counts=True)
+    return starts.astype(np.int32), counts.astype(np.int32)
