@@ -99,10 +99,9 @@ class FewShotGrid:
         """Return the ids of the datasets that the cells need."""
         learns = any(hasattr(new(0), "fit") for new in self.methods.values())
         wanted: list[str] = []
-        for split in self.splits:
-            for tier in self.tiers:
-                wanted += datasets_of(split.train if learns else (), tier)
-                wanted += datasets_of(self.held_out(split), self.demonstrations or tier)
+        for split, tier in product(self.splits, self.tiers):
+            wanted += datasets_of(split.train if learns else (), tier)
+            wanted += datasets_of(self.held_out(split), self.demonstrations or tier)
         return list(dict.fromkeys(wanted))
 
 

@@ -79,26 +79,12 @@ def few_shot_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
                 if fixed and name != "expert":
                     data[title][f"comparison: {name}"] = fixed[:1] * len(budgets)
                     descent[title][f"comparison: {name}"] = fixed[:1] * len(steps)
-        tier = chosen[0].tier
+        stem, tier = f"few-shot-{kind}", f"tier {chosen[0].tier}"
         if len(budgets) > 1:
-            figures.append(
-                ScoreFigure(
-                    f"few-shot-{kind}-data",
-                    f"Return against data, after {max(steps):,} steps, tier {tier}",
-                    "windows x steps demonstrated",
-                    tuple(budgets),
-                    data,
-                )
-            )
-        figures.append(
-            ScoreFigure(
-                f"few-shot-{kind}-steps",
-                f"Return against steps, with {TYPICAL_BUDGET} demonstrated, tier {tier}",
-                "gradient steps",
-                tuple(map(str, steps)),
-                descent,
-            )
-        )
+            title, label = f"Return against data, after {max(steps):,} steps", "windows x steps demonstrated"
+            figures.append(ScoreFigure(f"{stem}-data", f"{title}, {tier}", label, tuple(budgets), data))
+        title, ticks = f"Return against steps, with {TYPICAL_BUDGET} demonstrated", tuple(map(str, steps))
+        figures.append(ScoreFigure(f"{stem}-steps", f"{title}, {tier}", "gradient steps", ticks, descent))
     return figures
 
 
@@ -111,17 +97,11 @@ def offline_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
     by_tier = {tier: (tier, BASE, steps[-1]) for tier in tiers}
     figures = [_offline_figure("base", "on the base robot", "", by_tier, scores)]
     for tier in tiers:
+        title = f"return against updates, tier {tier}"
         by_steps = {_short(number): (tier, BASE, number) for number in steps}
-        figures.append(
-            _offline_figure(
-                f"{tier}-steps", f"return against updates, tier {tier}", "updates", by_steps, scores
-            )
-        )
-    by_category = {
-        category: (SHIFTED_TIER, category, steps[-1])
-        for category in CATEGORIES
-        if any(score.category == category for score in scores)
-    }
+        figures.append(_offline_figure(f"{tier}-steps", title, "updates", by_steps, scores))
+    present = {score.category for score in scores}
+    by_category = {each: (SHIFTED_TIER, each, steps[-1]) for each in CATEGORIES if each in present}
     if by_category:
         title = f"from {SHIFTED_TIER} data of the base to other variants"
         figures.append(_offline_figure("shifted", title, "", by_category, scores))
@@ -134,15 +114,13 @@ def across_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
         return []
     steps = sorted({score.steps for score in scores})
     present = {score.category for score in scores}
-    by_category = {
-        "all" if category == SHIFTED else category: (SHIFTED_TIER, category, steps[-1])
-        for category in (SHIFTED, *CATEGORIES)
-        if category in present
-    }
+    by_category = {"all": (SHIFTED_TIER, SHIFTED, steps[-1])}
+    by_category |= {each: (SHIFTED_TIER, each, steps[-1]) for each in CATEGORIES if each in present}
     by_steps = {_short(number): (SHIFTED_TIER, SHIFTED, number) for number in steps}
+    title = "from many variants to others"
     return [
-        _offline_figure("across", "from many variants to others", "", by_category, scores),
-        _offline_figure("across-steps", "from many variants to others", "updates", by_steps, scores),
+        _offline_figure("across", title, "", by_category, scores),
+        _offline_figure("across-steps", title, "updates", by_steps, scores),
     ]
 
 
