@@ -164,14 +164,7 @@ def fine_tune(
 ) -> dict[int, Actor]:
     """Clone data from a given network, and return the policy after each number of steps.
 
-    Args:
-        network: takes observations that ``statistics`` normalise.
-        statistics: of the observations.
-        data: the data.
-        rate: learning rate.
-        seed: seed of the batches.
-        checkpoints: the numbers of steps.
-        batch: rows of a batch.
+    The network takes observations that ``statistics`` normalise.
     """
     inputs = statistics.normalize(data.observations)
     networks = clone(network, inputs, data.actions, checkpoints, rate=rate, seed=seed, batch=batch)

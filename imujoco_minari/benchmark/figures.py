@@ -166,14 +166,9 @@ def _offline_figure(
     settings: Mapping[str, tuple[str, str, int]],
     scores: Sequence[MethodScore],
 ) -> ScoreFigure:
-    """Return a figure with a panel for each group.
+    """Return a figure of offline scores with a panel for each group.
 
-    Args:
-        name: the end of the figure's name.
-        title: the end of the figure's title.
-        x_label: label of the x axis; empty for bars.
-        settings: label of a tick -> tier, category and number of updates.
-        scores: offline scores.
+    ``settings`` maps the label of a tick to tier, category and number of updates.
     """
     panels: dict[str, dict[str, list[Interval | None]]] = {}
     for group in sorted({s.group for s in scores}, key=lambda name: ROBOTS.index(name.partition("-")[0])):

@@ -129,10 +129,7 @@ class HistoryPolicy:
 def encode(gru: Any, steps: Any, known: Any) -> Any:
     """Return the GRU's state after each step (T, B, units), from steps (T, B, obs + act) in order.
 
-    Args:
-        gru: parameters of the GRU.
-        steps: the transitions.
-        known: (T, B) bool; the state passes over a step that is not known.
+    The state passes over a step that is not ``known``, (T, B) bool.
     """
     jax = import_jax()
     units = gru["params"]["hn"]["bias"].shape[0]

@@ -104,10 +104,7 @@ def parsed(text: bytes, facts: dict[str, Line]) -> Line | None:
 def append_lines(path: Path, lines: Sequence[Line], stated: set[str] | None = None) -> None:
     """Add lines to a results file. It removes an incomplete last entry.
 
-    Args:
-        path: the file.
-        lines: the lines.
-        stated: names of the facts that the file already states. The new ones are added to it.
+    ``stated`` has the names of the facts that the file already states. The new ones are added to it.
 
     Raises:
         StorageError: if the file cannot be written.

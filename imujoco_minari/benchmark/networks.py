@@ -66,15 +66,7 @@ def forward(network: Network, inputs: Any) -> Any:
 
 
 def bind(network: Network, inputs: Array) -> Network:
-    """Fix the last inputs of a network: they become part of the first layer's bias.
-
-    Args:
-        network: takes n inputs.
-        inputs: values of the last m inputs, (m,).
-
-    Returns:
-        A network that takes the first n - m inputs and gives the same outputs.
-    """
+    """Return a network with its last inputs, (m,), fixed: they become part of the first layer's bias."""
     (weight, bias), *rest = network
     free = len(weight) - len(inputs)
     return [(np.asarray(weight)[:free], np.asarray(bias + inputs @ weight[free:])), *rest]
@@ -83,10 +75,7 @@ def bind(network: Network, inputs: Array) -> Network:
 def to_actor(network: Network, statistics: Statistics, algorithm: str) -> Actor:
     """Return the deterministic policy ``tanh(network(normalised observation))``.
 
-    Args:
-        network: maps normalised observations to actions before the tanh.
-        statistics: of the observations; they become part of the first layer.
-        algorithm: name of the algorithm that trained the network.
+    The statistics of the observations become part of the first layer.
     """
     (weight, bias), *rest = [(np.asarray(w, np.float64), np.asarray(b, np.float64)) for w, b in network]
     scaled = weight / statistics.std[:, None]
@@ -154,14 +143,7 @@ def clone(
 ) -> dict[int, Network]:
     """Clone behaviour: :func:`descend` on the squared error of ``tanh(network(inputs))`` to the actions.
 
-    Args:
-        network: the network to start from.
-        inputs: (N, in).
-        actions: (N, act), in [-1, 1].
-        checkpoints: numbers of steps.
-        rate: learning rate.
-        seed: seed of the batches.
-        batch: rows of a batch, drawn with replacement.
+    Inputs are (N, in), and actions (N, act) in [-1, 1]. The rows of a batch are drawn with replacement.
     """
     data = (padded(inputs), padded(actions), len(inputs))
     return descend(cloning_loss(batch), network, data, checkpoints, rate=rate, seed=seed)
@@ -194,12 +176,9 @@ def padded(array: Array, dtype: type = np.float32) -> Array:
 
 
 def learner(parameters: Any, rate: float, decay_steps: int | None = None) -> Any:
-    """Return a ``TrainState`` of Flax: parameters, and Adam with its moments.
+    """Return a ``TrainState`` of Flax: parameters, which are any tree of arrays, and Adam with its moments.
 
-    Args:
-        parameters: a network, or any tree of arrays.
-        rate: learning rate.
-        decay_steps: the rate falls by a cosine to 0 in this many steps; None for a constant rate.
+    The rate falls by a cosine to 0 in ``decay_steps``, or is constant.
     """
     from flax.training.train_state import TrainState
 

@@ -194,7 +194,8 @@ class OfflineGrid:
         recipes: list[Recipe] = []
         for robot, tier in product(self.robots, self.tiers):
             episodes = LARGE_EPISODES if tier in LARGE_TIERS else EPISODES
-            sampled, (learnt, _) = tier in SAMPLED_TIERS, self.variants(robot, tier)
+            sampled = tier in SAMPLED_TIERS
+            learnt, _ = self.variants(robot, tier)
             recipes += [Recipe(variant, tier, episodes, stochastic=sampled) for variant in learnt]
         return recipes
 

@@ -155,9 +155,7 @@ def to_csv(scores: Iterable[MethodScore]) -> str:
     writer.writeheader()
     for score in scores:
         values = asdict(score).items()
-        writer.writerow(
-            {key: round(value, 4) if isinstance(value, float) else value for key, value in values}
-        )
+        writer.writerow({name: round(x, 4) if isinstance(x, float) else x for name, x in values})
     return text.getvalue()
 
 

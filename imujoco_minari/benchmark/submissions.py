@@ -26,14 +26,7 @@ PUBLISHED = Path(__file__).with_name("published.json")
 MAX_BYTES, MAX_LINE, MAX_FAULTS = 2**23, 2**17, 50
 # The versions that decide the data and the episodes. A method need not use the others.
 VERSIONS = ("imujoco-minari", "mujoco", "gymnasium", "numpy")
-_FEW: dict[str, type] = {
-    "method": str,
-    "split": str,
-    "tier": str,
-    "variant": str,
-    "budget": str,
-    "train_sha256": str,
-}
+_FEW: dict[str, type] = dict.fromkeys(("method", "split", "tier", "variant", "budget", "train_sha256"), str)
 _OFFLINE: dict[str, type] = {"method": str, "robot": str, "tier": str, "checkpoints": list, "variants": list}
 _BOTH: dict[str, type] = {"seed": int, "episodes": int, "settings": dict, "versions": dict, "results": dict}
 _BOTH |= {"data_sha256": str, "policies_sha256": str}
