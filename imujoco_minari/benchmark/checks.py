@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from functools import cache
 
 from imujoco_minari.benchmark import offline, reproduction
-from imujoco_minari.benchmark.few_shot import train_tier
+from imujoco_minari.benchmark.few_shot import datasets_of, train_tier
 from imujoco_minari.benchmark.lines import Line, data_sha256, expert_variants, is_of_earlier_experts
 from imujoco_minari.benchmark.methods import METHODS, settings_of
 from imujoco_minari.errors import DatasetNotFoundError, VariantError
-from imujoco_minari.variants import Variant, held_out
+from imujoco_minari.variants import held_out
 
 
 def changes(lines: Iterable[Line]) -> list[str]:
@@ -41,7 +42,10 @@ def _changes(line: Line) -> Iterator[str]:
         data = [variants[-1].dataset_id(line["tier"])]
         settings = settings_of(METHODS[method](0)) if method in METHODS else None
         if line["train_sha256"]:
-            yield from _data(_train(line["split"], train_tier(line)), line["train_sha256"])
+            # A split of your own is not known here.
+            with suppress(VariantError):
+                ids = datasets_of(held_out(line["split"]).train, train_tier(line))
+                yield from _data(ids, line["train_sha256"])
     yield from _data(data, line["data_sha256"])
     if is_of_earlier_experts(line):
         yield f"the expert of {' or '.join(map(str, variants))} has changed"
@@ -50,8 +54,6 @@ def _changes(line: Line) -> Iterator[str]:
 
 
 def _data(dataset_ids: Sequence[str], digest: str) -> Iterator[str]:
-    if not dataset_ids:
-        return
     found = _digest(tuple(dataset_ids))
     if found is None:
         yield "not compared, because their datasets are not in the Minari root"
@@ -67,10 +69,3 @@ def _digest(dataset_ids: tuple[str, ...]) -> str | None:
         return data_sha256(dataset_ids)
     except DatasetNotFoundError:
         return None
-
-
-def _train(split: str, tier: str) -> list[str]:
-    try:
-        return [Variant.parse(variant).dataset_id(tier) for variant in held_out(split).train]
-    except VariantError:
-        return []

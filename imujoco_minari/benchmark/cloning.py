@@ -1,7 +1,7 @@
-"""Methods of behaviour cloning: from scratch, from the base's expert, and from all training variants.
+"""Behaviour cloning: from scratch, from the base's expert, from all training variants, and of offline data.
 
-Each starts from a network and minimises the squared error to the demonstrated actions. They differ in
-where the network comes from.
+Each starts from a network and minimises the squared error to the actions of the data. They differ in where
+the network comes from.
 """
 
 from __future__ import annotations
@@ -12,30 +12,46 @@ from typing import Any
 
 import numpy as np
 
-from imujoco_minari.benchmark.networks import Network, bind, clone, new_policy, of_actor, to_actor
+from imujoco_minari.benchmark.networks import (
+    BATCH,
+    Initial,
+    Network,
+    bind,
+    clone,
+    new_policy,
+    of_actor,
+    to_actor,
+)
 from imujoco_minari.benchmark.protocol import STEPS
 from imujoco_minari.loading import Arrays, Origin, Statistics
 from imujoco_minari.loading.statistics import measure
 from imujoco_minari.policies import Actor, Array, expert_actor
+from imujoco_minari.policies.universal import whole_context
 from imujoco_minari.variants import Variant
-from imujoco_minari.variants.context import context, parameters
 
 # An observation that hardly varies in the data says little, but a large number of it would say much.
 _LEAST_STD = 0.01
 
 
 @dataclass
-class Scratch:
-    """Behaviour cloning of the demonstrations alone, from random weights.
+class FineTuned:
+    """A method that fine-tunes a policy on the demonstrations.
 
     Attributes:
         seed: seed of the weights and of the batches.
-        rate: learning rate.
-        steps: numbers of steps after which it returns the policy.
+        rate: learning rate of the fine-tuning.
+        steps: numbers of steps of the fine-tuning after which it returns the policy.
     """
 
     seed: int = 0
     rate: float = 3e-4
+    steps: tuple[int, ...] = STEPS
+
+
+@dataclass
+class Scratch(FineTuned):
+    """Behaviour cloning of the demonstrations alone, from random weights."""
+
     steps: tuple[int, ...] = STEPS[1:]
 
     def adapt(self, demonstrations: Arrays) -> Mapping[int, Actor]:
@@ -46,18 +62,8 @@ class Scratch:
 
 
 @dataclass
-class BaseExpert:
-    """The base robot's expert: as it is after 0 steps, then fine-tuned on the demonstrations.
-
-    Attributes:
-        seed: seed of the batches.
-        rate: learning rate.
-        steps: numbers of steps after which it returns the policy.
-    """
-
-    seed: int = 0
-    rate: float = 3e-4
-    steps: tuple[int, ...] = STEPS
+class BaseExpert(FineTuned):
+    """The base robot's expert: as it is after 0 steps, then fine-tuned on the demonstrations."""
 
     def adapt(self, demonstrations: Arrays) -> Mapping[int, Actor]:
         """Return the policies after each number of steps on the demonstrations."""
@@ -68,22 +74,16 @@ class BaseExpert:
 
 
 @dataclass
-class Pretrained:
+class Pretrained(FineTuned):
     """A network that ``fit`` learns from the training variants, and ``adapt`` fine-tunes.
 
     Attributes:
-        seed: seed of the weights and of the batches.
-        rate: learning rate of the fine-tuning.
         fit_rate: learning rate on the training variants.
         fit_steps: steps on the training variants.
-        steps: numbers of steps of the fine-tuning after which it returns the policy.
     """
 
-    seed: int = 0
-    rate: float = 3e-4
     fit_rate: float = 1e-3
     fit_steps: int = 20_000
-    steps: tuple[int, ...] = STEPS
     _network: Any = field(default=None, init=False, repr=False)
     _statistics: Any = field(default=None, init=False, repr=False)
 
@@ -122,32 +122,58 @@ class MultiVariant(Pretrained):
         return {0: to_actor(network, self._statistics, "behaviour cloning")}
 
 
+@dataclass(frozen=True)
+class Cloning:
+    """Behaviour cloning of offline data, of all episodes or of those with the highest returns.
+
+    Attributes:
+        seed: seed of the weights and of the batches.
+        checkpoints: numbers of gradient steps after which the policy is kept.
+        best: share of the steps to clone, of the episodes with the highest returns.
+        rate: learning rate.
+        batch: rows of a batch.
+        initial: distribution of the initial weights.
+    """
+
+    seed: int
+    checkpoints: tuple[int, ...]
+    best: float = 1.0
+    rate: float = 3e-4
+    batch: int = BATCH
+    initial: Initial = "pytorch"
+
+    def train(self, data: Arrays) -> dict[int, Actor]:
+        """Return the policy at each checkpoint."""
+        order = np.argsort(-data.returns, kind="stable")
+        steps = np.cumsum(data.episode_lengths[order])
+        # At least one episode.
+        kept = data.select(np.sort(order[: 1 + np.searchsorted(steps, self.best * len(data))]))
+        network = new_policy(kept.observations, kept.actions, self.seed, self.initial)
+        statistics = robust_statistics(kept.observations)
+        return fine_tune(network, statistics, kept, self.rate, self.seed, self.checkpoints, self.batch)
+
+
 def fine_tune(
     network: Network,
     statistics: Statistics,
-    demonstrations: Arrays,
+    data: Arrays,
     rate: float,
     seed: int,
     checkpoints: tuple[int, ...],
+    batch: int = BATCH,
 ) -> dict[int, Actor]:
-    """Clone the demonstrations from a given network, and return the policy after each number of steps.
+    """Clone data from a given network, and return the policy after each number of steps.
 
-    Args:
-        network: takes observations that ``statistics`` normalise.
-        statistics: of the observations.
-        demonstrations: the data.
-        rate: learning rate.
-        seed: seed of the batches.
-        checkpoints: the numbers of steps.
+    The network takes observations that ``statistics`` normalise.
     """
-    inputs = statistics.normalize(demonstrations.observations)
-    networks = clone(network, inputs, demonstrations.actions, checkpoints, rate=rate, seed=seed)
+    inputs = statistics.normalize(data.observations)
+    networks = clone(network, inputs, data.actions, checkpoints, rate=rate, seed=seed, batch=batch)
     return {steps: to_actor(found, statistics, "behaviour cloning") for steps, found in networks.items()}
 
 
 def context_of(origin: Origin) -> Array:
     """Return the context of a variant: the change of every parameter of its robot."""
-    return context(Variant.parse(origin.variant), parameters(origin.robot)).astype(np.float32)
+    return whole_context(Variant.parse(origin.variant)).astype(np.float32)
 
 
 def robust_statistics(observations: Array) -> Statistics:

@@ -18,10 +18,9 @@ from typing import Any
 import numpy as np
 
 from imujoco_minari.benchmark import protocol
-from imujoco_minari.benchmark.evaluating import episode_returns, relative_error
 from imujoco_minari.benchmark.lines import Line, data_sha256, policies_sha256, references, run_lines, versions
 from imujoco_minari.benchmark.methods import COMPARISONS, Method, NewMethod, settings_of
-from imujoco_minari.benchmark.protocol import Budget, draw_demonstrations
+from imujoco_minari.benchmark.protocol import Budget, draw_demonstrations, episode_returns, relative_error
 from imujoco_minari.errors import BenchmarkChoiceError, BenchmarkError, JobError
 from imujoco_minari.loading import arrays
 from imujoco_minari.parallel import run_jobs
@@ -100,10 +99,9 @@ class FewShotGrid:
         """Return the ids of the datasets that the cells need."""
         learns = any(hasattr(new(0), "fit") for new in self.methods.values())
         wanted: list[str] = []
-        for split in self.splits:
-            for tier in self.tiers:
-                wanted += _dataset_ids(split.train if learns else (), tier)
-                wanted += _dataset_ids(self.held_out(split), self.demonstrations or tier)
+        for split, tier in product(self.splits, self.tiers):
+            wanted += datasets_of(split.train if learns else (), tier)
+            wanted += datasets_of(self.held_out(split), self.demonstrations or tier)
         return list(dict.fromkeys(wanted))
 
 
@@ -156,7 +154,7 @@ def _lines(grid: FewShotGrid) -> Iterator[Line]:
                 "train_sha256": "",
             }
             if hasattr(method, "fit"):
-                common["train_sha256"] = digest(_dataset_ids(split.train, train_tier))
+                common["train_sha256"] = digest(datasets_of(split.train, train_tier))
             budgets = grid.budgets_of(name, split)
             for variant in map(Variant.parse, grid.held_out(split)):
                 own = {
@@ -168,7 +166,8 @@ def _lines(grid: FewShotGrid) -> Iterator[Line]:
                 yield from ({**own, "budget": str(budget)} for budget in budgets)
 
 
-def _dataset_ids(variants: Iterable[str], tier: str) -> tuple[str, ...]:
+def datasets_of(variants: Iterable[str], tier: str) -> tuple[str, ...]:
+    """Return the ids of the datasets of variants."""
     return tuple(Variant.parse(variant).dataset_id(tier) for variant in variants)
 
 
@@ -178,7 +177,7 @@ def _compute(grid: FewShotGrid, jobs: int, lines: Sequence[Line]) -> Iterator[Li
     # Methods are fitted shortly before they are used, so that a killed run loses little.
     for (split, tier, seed), own in groupby(lines, lambda x: (x["split"], train_tier(x), x["seed"])):
         tasks = [list(task) for _, task in groupby(own, itemgetter("method", "variant"))]
-        train = _dataset_ids(splits[split].train, tier)
+        train = datasets_of(splits[split].train, tier)
         names = list(dict.fromkeys(task[0]["method"] for task in tasks))
         fits = [(grid.methods[name], seed, train) for name in names]
         fitted = {

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
+from operator import attrgetter
 
 from imujoco_minari.benchmark.lines import Line
 from imujoco_minari.benchmark.methods import COMPARISONS
@@ -69,35 +71,20 @@ def few_shot_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
             of_group = [score for score in chosen if score.group == group]
             own = {(s.method, s.budget, s.steps): s.interval for s in of_group}
             title = f"{group}, {of_group[0].variants} variants"
-            fixed = {m: next((i for k, i in own.items() if k[0] == m), None) for m in COMPARISONS}
             methods = [m for m in in_order({key[0] for key in own}) if m not in COMPARISONS]
-            grey = {f"comparison: {m}": fixed[m] for m in COMPARISONS if fixed[m] and m != "expert"}
-            data[title] = {m: [own.get((m, b, last[m])) for b in budgets] for m in methods} | {
-                name: [interval] * len(budgets) for name, interval in grey.items()
-            }
-            descent[title] = {m: [own.get((m, TYPICAL_BUDGET, s)) for s in steps] for m in methods} | {
-                name: [interval] * len(steps) for name, interval in grey.items()
-            }
-        tier = chosen[0].tier
+            data[title] = {m: [own.get((m, b, last[m])) for b in budgets] for m in methods}
+            descent[title] = {m: [own.get((m, TYPICAL_BUDGET, s)) for s in steps] for m in methods}
+            for name in COMPARISONS:
+                fixed: list[Interval | None] = [own[key] for key in own if key[0] == name]
+                if fixed and name != "expert":
+                    data[title][f"comparison: {name}"] = fixed[:1] * len(budgets)
+                    descent[title][f"comparison: {name}"] = fixed[:1] * len(steps)
+        stem, tier = f"few-shot-{kind}", f"tier {chosen[0].tier}"
         if len(budgets) > 1:
-            figures.append(
-                ScoreFigure(
-                    f"few-shot-{kind}-data",
-                    f"Return against data, after {max(steps):,} steps, tier {tier}",
-                    "windows x steps demonstrated",
-                    tuple(budgets),
-                    data,
-                )
-            )
-        figures.append(
-            ScoreFigure(
-                f"few-shot-{kind}-steps",
-                f"Return against steps, with {TYPICAL_BUDGET} demonstrated, tier {tier}",
-                "gradient steps",
-                tuple(map(str, steps)),
-                descent,
-            )
-        )
+            title, label = f"Return against data, after {max(steps):,} steps", "windows x steps demonstrated"
+            figures.append(ScoreFigure(f"{stem}-data", f"{title}, {tier}", label, tuple(budgets), data))
+        title, ticks = f"Return against steps, with {TYPICAL_BUDGET} demonstrated", tuple(map(str, steps))
+        figures.append(ScoreFigure(f"{stem}-steps", f"{title}, {tier}", "gradient steps", ticks, descent))
     return figures
 
 
@@ -110,17 +97,11 @@ def offline_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
     by_tier = {tier: (tier, BASE, steps[-1]) for tier in tiers}
     figures = [_offline_figure("base", "on the base robot", "", by_tier, scores)]
     for tier in tiers:
+        title = f"return against updates, tier {tier}"
         by_steps = {_short(number): (tier, BASE, number) for number in steps}
-        figures.append(
-            _offline_figure(
-                f"{tier}-steps", f"return against updates, tier {tier}", "updates", by_steps, scores
-            )
-        )
-    by_category = {
-        category: (SHIFTED_TIER, category, steps[-1])
-        for category in CATEGORIES
-        if any(score.category == category for score in scores)
-    }
+        figures.append(_offline_figure(f"{tier}-steps", title, "updates", by_steps, scores))
+    present = {score.category for score in scores}
+    by_category = {each: (SHIFTED_TIER, each, steps[-1]) for each in CATEGORIES if each in present}
     if by_category:
         title = f"from {SHIFTED_TIER} data of the base to other variants"
         figures.append(_offline_figure("shifted", title, "", by_category, scores))
@@ -133,15 +114,13 @@ def across_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
         return []
     steps = sorted({score.steps for score in scores})
     present = {score.category for score in scores}
-    by_category = {
-        "all" if category == SHIFTED else category: (SHIFTED_TIER, category, steps[-1])
-        for category in (SHIFTED, *CATEGORIES)
-        if category in present
-    }
+    by_category = {"all": (SHIFTED_TIER, SHIFTED, steps[-1])}
+    by_category |= {each: (SHIFTED_TIER, each, steps[-1]) for each in CATEGORIES if each in present}
     by_steps = {_short(number): (SHIFTED_TIER, SHIFTED, number) for number in steps}
+    title = "from many variants to others"
     return [
-        _offline_figure("across", "from many variants to others", "", by_category, scores),
-        _offline_figure("across-steps", "from many variants to others", "updates", by_steps, scores),
+        _offline_figure("across", title, "", by_category, scores),
+        _offline_figure("across-steps", title, "updates", by_steps, scores),
     ]
 
 
@@ -151,14 +130,13 @@ def reproduction_figures(lines: Sequence[Line]) -> list[ScoreFigure]:
     if not rows:
         return []
     panels: dict[str, dict[str, list[Interval | None]]] = {}
-    for method, windows in dict.fromkeys((row.method, row.windows) for row in rows):
-        own = [row for row in rows if (row.method, row.windows) == (method, windows)]
+    for (method, windows), group in groupby(rows, attrgetter("method", "windows")):
+        own = list(group)
         panel = panels.setdefault(f"windows: {windows}", {})
         panel[method] = [(row.error, row.error - row.std, row.error + row.std) for row in own]
-        published = [row.published for row in own]
-        if any(published):
+        if any(row.published for row in own):
             panel[f"comparison: {method}, published"] = [
-                None if error is None else (error, error, error) for error in published
+                None if row.published is None else (row.published,) * 3 for row in own
             ]
     ticks = tuple(dict.fromkeys(str(row.steps) for row in rows))
     title = "The published comparison on HalfCheetah: mean of the seeds and standard deviation"
@@ -188,14 +166,9 @@ def _offline_figure(
     settings: Mapping[str, tuple[str, str, int]],
     scores: Sequence[MethodScore],
 ) -> ScoreFigure:
-    """Return a figure with a panel for each group.
+    """Return a figure of offline scores with a panel for each group.
 
-    Args:
-        name: the end of the figure's name.
-        title: the end of the figure's title.
-        x_label: label of the x axis; empty for bars.
-        settings: label of a tick -> tier, category and number of updates.
-        scores: offline scores.
+    ``settings`` maps the label of a tick to tier, category and number of updates.
     """
     panels: dict[str, dict[str, list[Interval | None]]] = {}
     for group in sorted({s.group for s in scores}, key=lambda name: ROBOTS.index(name.partition("-")[0])):

@@ -60,12 +60,10 @@ class History(Pretrained):
 
     def _clone(self, networks: Any, data: Arrays, steps: Sequence[int], rate: float) -> dict[int, Any]:
         last = np.repeat(data.episode_ends - 1, data.episode_lengths)
-        columns = (self._statistics.normalize(data.observations), data.actions)
-        padded_last = np.pad(last, (0, len(padded(last)) - len(last))).astype(np.int32)
+        inputs = padded(self._statistics.normalize(data.observations))
+        columns = (inputs, padded(data.actions), padded(last, np.int32), len(data))
         loss = sequence_loss(self.sequences, self.window)
-        return descend(
-            loss, networks, (*map(padded, columns), padded_last, len(last)), steps, rate=rate, seed=self.seed
-        )
+        return descend(loss, networks, columns, steps, rate=rate, seed=self.seed)
 
 
 class HistoryPolicy:
@@ -131,10 +129,7 @@ class HistoryPolicy:
 def encode(gru: Any, steps: Any, known: Any) -> Any:
     """Return the GRU's state after each step (T, B, units), from steps (T, B, obs + act) in order.
 
-    Args:
-        gru: parameters of the GRU.
-        steps: the transitions.
-        known: (T, B) bool; the state passes over a step that is not known.
+    The state passes over a step that is not ``known``, (T, B) bool.
     """
     jax = import_jax()
     units = gru["params"]["hn"]["bias"].shape[0]

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import cache
 from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, version
@@ -55,30 +56,35 @@ def _read(path: Path) -> tuple[list[Line], dict[str, Line]]:
     if not path.exists():
         return lines, facts
     try:
-        *whole, _ = path.read_text("utf-8").split("\n")
-    except (OSError, UnicodeDecodeError) as error:
+        *whole, _ = path.read_bytes().split(b"\n")
+    except OSError as error:
         raise BenchmarkError(f"{path}: cannot be read: {error}") from None
     for number, text in enumerate(whole, start=1):
         try:
-            if (line := expanded(json.loads(text), facts)) is not None:
+            if (line := parsed(text, facts)) is not None:
                 line["results"].items()
                 lines.append(line)
-        # Deep nesting exhausts the stack.
-        except (ValueError, KeyError, AttributeError, TypeError, RecursionError):
+        except (ValueError, KeyError, AttributeError):
             raise BenchmarkError(f"{path}, line {number}: not a result of the benchmark") from None
     return lines, facts
 
 
-def expanded(entry: Any, facts: dict[str, Line]) -> Line | None:
+def parsed(text: bytes, facts: dict[str, Line]) -> Line | None:
     """Return the line that an entry stands for, or None if the entry only adds to the facts.
 
     Args:
-        entry: any JSON value.
+        text: JSON in UTF-8.
         facts: the facts of the entries before it, by name.
 
     Raises:
         ValueError: if the entry is malformed, or names facts that are not stated before it.
     """
+    try:
+        # Of bytes, json would take other encodings too.
+        entry = json.loads(text.decode("utf-8"))
+    # Deep nesting exhausts the stack.
+    except (ValueError, RecursionError):
+        entry = None
     if not isinstance(entry, dict):
         raise ValueError("not a JSON object")
     stated, name = entry.get("facts", []), entry.get("name")
@@ -98,10 +104,7 @@ def expanded(entry: Any, facts: dict[str, Line]) -> Line | None:
 def append_lines(path: Path, lines: Sequence[Line], stated: set[str] | None = None) -> None:
     """Add lines to a results file. It removes an incomplete last entry.
 
-    Args:
-        path: the file.
-        lines: the lines.
-        stated: names of the facts that the file already states. The new ones are added to it.
+    ``stated`` has the names of the facts that the file already states. The new ones are added to it.
 
     Raises:
         StorageError: if the file cannot be written.
@@ -193,10 +196,8 @@ def versions() -> dict[str, str]:
     """Return the versions of the packages that decide a result."""
     found = {}
     for name in _PACKAGES:
-        try:
+        with suppress(PackageNotFoundError):
             found[name] = version(name)
-        except PackageNotFoundError:
-            continue
     return found
 
 
@@ -206,14 +207,13 @@ def data_sha256(dataset_ids: Iterable[str]) -> str:
     Raises:
         DatasetNotFoundError: if one is not in the Minari root.
     """
-    digests = [_content_sha256(dataset_id) for dataset_id in dataset_ids]
+    digests = []
+    for dataset_id in dataset_ids:
+        if not minari_root.exists(dataset_id):
+            raise not_in_root(dataset_id)
+        metadata = read_metadata(minari_root.dataset_folder(dataset_id) / "data")
+        digests.append(str(metadata.get("content_sha256", "")))
     return digests[0] if len(digests) == 1 else sha256(" ".join(digests).encode()).hexdigest()
-
-
-def _content_sha256(dataset_id: str) -> str:
-    if not minari_root.exists(dataset_id):
-        raise not_in_root(dataset_id)
-    return str(read_metadata(minari_root.dataset_folder(dataset_id) / "data").get("content_sha256", ""))
 
 
 @cache

@@ -14,11 +14,10 @@ from typing import Any, Protocol
 
 from imujoco_minari.benchmark.cloning import BaseExpert, MultiVariant, Scratch
 from imujoco_minari.benchmark.history import History
-from imujoco_minari.benchmark.maml import Maml
-from imujoco_minari.benchmark.set_encoder import SetEncoder
-from imujoco_minari.errors import BenchmarkChoiceError, BenchmarkError, clipped, suggestion
+from imujoco_minari.benchmark.meta import Maml, SetEncoder
+from imujoco_minari.errors import BenchmarkChoiceError, BenchmarkError, clipped, unknown
 from imujoco_minari.loading import Arrays
-from imujoco_minari.policies import Actor, RandomPolicy, expert_actor, random_policy, universal_policy
+from imujoco_minari.policies import Actor, expert_actor, random_policy, universal_policy
 from imujoco_minari.variants import ROBOTS, Variant
 
 
@@ -48,25 +47,20 @@ NewMethod = Callable[[int], Method]
 
 
 @dataclass
-class RandomBound:
-    """The lower bound: random actions."""
+class Bound:
+    """A bound: a policy of the held-out variant that does not depend on the demonstrations.
+
+    Attributes:
+        seed: not used.
+        policy_of: returns the policy of a variant.
+    """
 
     seed: int
+    policy_of: Callable[[Variant], Any] = field(repr=False)
 
-    def adapt(self, demonstrations: Arrays) -> RandomPolicy:
-        """Return the random policy."""
-        return random_policy(demonstrations.table[0].robot)
-
-
-@dataclass
-class ExpertBound:
-    """The upper bound: the expert of the held-out variant."""
-
-    seed: int
-
-    def adapt(self, demonstrations: Arrays) -> Actor:
-        """Return the variant's expert."""
-        return expert_actor(Variant.parse(demonstrations.table[0].variant))
+    def adapt(self, demonstrations: Arrays) -> Any:
+        """Return the policy."""
+        return self.policy_of(Variant.parse(demonstrations.table[0].variant))
 
 
 @dataclass
@@ -100,8 +94,8 @@ METHODS: Mapping[str, NewMethod] = {
     "history": History,
     "told": partial(MultiVariant, told=True),
     "universal": UniversalBound,
-    "random": RandomBound,
-    "expert": ExpertBound,
+    "random": partial(Bound, policy_of=lambda variant: random_policy(variant.robot)),
+    "expert": partial(Bound, policy_of=expert_actor),
 }
 # The policies of these methods do not depend on the demonstrations. They run with one budget.
 COMPARISONS = ("told", "universal", "random", "expert")
@@ -126,10 +120,7 @@ def find_method(name: str, known: Mapping[str, Any] = METHODS) -> Any:
         except (ImportError, AttributeError, ValueError) as error:
             raise BenchmarkChoiceError(f"no method {clipped(name)!r}: {error}") from None
     if name not in known:
-        raise BenchmarkChoiceError(
-            f"no method {clipped(name)!r}{suggestion(name[:80], known)}; valid: {', '.join(known)}, or "
-            "<module>:<Class> for your own"
-        )
+        raise BenchmarkChoiceError(f"{unknown('no method', name, known)}, or <module>:<Class> for your own")
     return known[name]
 
 
@@ -144,15 +135,14 @@ def with_settings(new: NewMethod, settings: Sequence[str]) -> NewMethod:
         BenchmarkChoiceError: if the method has no such setting.
         BenchmarkError: if the value is not a number.
     """
+    numbers = {name: value for name, value in settings_of(new(0)).items() if type(value) in (int, float)}
     changed = {}
     for text in settings:
         name, _, value = text.partition("=")
-        present = settings_of(new(0))
-        valid = [name for name, number in present.items() if type(number) in (int, float)]
-        if name not in valid:
-            raise BenchmarkChoiceError(f"no setting {clipped(text)!r}; valid: {', '.join(valid) or 'none'}")
+        if name not in numbers:
+            raise BenchmarkChoiceError(f"no setting {clipped(text)!r}; valid: {', '.join(numbers) or 'none'}")
         try:
-            changed[name] = type(present[name])(value)
+            changed[name] = type(numbers[name])(value)
         except ValueError:
             raise BenchmarkError(f"{clipped(text)!r} is not a number") from None
     return partial(new, **changed)

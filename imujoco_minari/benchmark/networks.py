@@ -66,15 +66,7 @@ def forward(network: Network, inputs: Any) -> Any:
 
 
 def bind(network: Network, inputs: Array) -> Network:
-    """Fix the last inputs of a network: they become part of the first layer's bias.
-
-    Args:
-        network: takes n inputs.
-        inputs: values of the last m inputs, (m,).
-
-    Returns:
-        A network that takes the first n - m inputs and gives the same outputs.
-    """
+    """Return a network with its last inputs, (m,), fixed: they become part of the first layer's bias."""
     (weight, bias), *rest = network
     free = len(weight) - len(inputs)
     return [(np.asarray(weight)[:free], np.asarray(bias + inputs @ weight[free:])), *rest]
@@ -83,10 +75,7 @@ def bind(network: Network, inputs: Array) -> Network:
 def to_actor(network: Network, statistics: Statistics, algorithm: str) -> Actor:
     """Return the deterministic policy ``tanh(network(normalised observation))``.
 
-    Args:
-        network: maps normalised observations to actions before the tanh.
-        statistics: of the observations; they become part of the first layer.
-        algorithm: name of the algorithm that trained the network.
+    The statistics of the observations become part of the first layer.
     """
     (weight, bias), *rest = [(np.asarray(w, np.float64), np.asarray(b, np.float64)) for w, b in network]
     scaled = weight / statistics.std[:, None]
@@ -112,8 +101,8 @@ def iterate(
     """Apply an update again and again, and return the state after each of some numbers of steps.
 
     Args:
-        update: returns the next state. JAX compiles once for each function: use one of a module, or a
-            cached one.
+        update: returns the next state. JAX compiles once for each function or equal object: use a
+            function of a module, or a cached one.
         state: a tree of arrays.
         data: arrays for the update. :func:`padded` keeps the number of compiled programs small.
         checkpoints: numbers of steps; 0 gives the state itself.
@@ -136,13 +125,7 @@ def descend(
 ) -> dict[int, Any]:
     """Minimise a loss with Adam, and return the network after each of some numbers of steps.
 
-    Args:
-        loss: returns the loss on a random batch: (network, key, data) -> scalar.
-        network: a network, or any tree of arrays that the loss takes.
-        data: arrays for the loss.
-        checkpoints: numbers of steps; 0 gives the network itself.
-        rate: learning rate.
-        seed: seed of the batches.
+    The network may be any tree of arrays that the loss takes; see :func:`iterate`.
     """
     states = iterate(_descent(loss), learner(network, rate), data, checkpoints, seed)
     return {steps: state.params for steps, state in states.items()}
@@ -158,16 +141,9 @@ def clone(
     seed: int,
     batch: int = BATCH,
 ) -> dict[int, Network]:
-    """Clone behaviour: minimise the squared error of ``tanh(network(inputs))`` to the actions.
+    """Clone behaviour: :func:`descend` on the squared error of ``tanh(network(inputs))`` to the actions.
 
-    Args:
-        network: the network to start from.
-        inputs: (N, in).
-        actions: (N, act), in [-1, 1].
-        checkpoints: numbers of steps; 0 gives the network itself.
-        rate: learning rate.
-        seed: seed of the batches.
-        batch: rows of a batch, drawn with replacement.
+    Inputs are (N, in), and actions (N, act) in [-1, 1]. The rows of a batch are drawn with replacement.
     """
     data = (padded(inputs), padded(actions), len(inputs))
     return descend(cloning_loss(batch), network, data, checkpoints, rate=rate, seed=seed)
@@ -191,23 +167,18 @@ def cloning_loss(batch: int, error: Loss = squared_error) -> Loss:
     return loss
 
 
-def padded(array: Array) -> Array:
-    """Return rows as float32, with zeros below them: the number of rows becomes a power of two."""
-    size = _LEAST_ROWS
-    while size < len(array):
-        size *= 2
-    whole = np.zeros((size, *array.shape[1:]), np.float32)
+def padded(array: Array, dtype: type = np.float32) -> Array:
+    """Return rows of a type, with zeros below them: the number of rows becomes a power of two."""
+    size = max(_LEAST_ROWS, 1 << (len(array) - 1).bit_length())
+    whole = np.zeros((size, *array.shape[1:]), dtype)
     whole[: len(array)] = array
     return whole
 
 
 def learner(parameters: Any, rate: float, decay_steps: int | None = None) -> Any:
-    """Return a ``TrainState`` of Flax: parameters, and Adam with its moments.
+    """Return a ``TrainState`` of Flax: parameters, which are any tree of arrays, and Adam with its moments.
 
-    Args:
-        parameters: a network, or any tree of arrays.
-        rate: learning rate.
-        decay_steps: the rate falls by a cosine to 0 in this many steps; None for a constant rate.
+    The rate falls by a cosine to 0 in ``decay_steps``, or is constant.
     """
     from flax.training.train_state import TrainState
 

@@ -18,8 +18,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from imujoco_minari.benchmark.evaluating import episode_returns
-from imujoco_minari.benchmark.iql import Iql
+from imujoco_minari.benchmark.cloning import Cloning
+from imujoco_minari.benchmark.critics import Iql, Td3Bc
 from imujoco_minari.benchmark.lines import (
     Line,
     append_lines,
@@ -33,9 +33,7 @@ from imujoco_minari.benchmark.lines import (
     versions,
 )
 from imujoco_minari.benchmark.methods import settings_of
-from imujoco_minari.benchmark.offline_cloning import Cloning
-from imujoco_minari.benchmark.protocol import EVALUATION_EPISODES
-from imujoco_minari.benchmark.td3_bc import Td3Bc
+from imujoco_minari.benchmark.protocol import EVALUATION_EPISODES, episode_returns
 from imujoco_minari.errors import BenchmarkChoiceError, BenchmarkError
 from imujoco_minari.loading import Arrays, arrays
 from imujoco_minari.policies.tiers import LARGE_TIERS
@@ -117,16 +115,11 @@ class Told:
         """Return the policy at each checkpoint. It takes observation and context."""
         contexts = np.array([whole_context(Variant.parse(origin.variant)) for origin in data.table])
         told = contexts[data.variant_index].astype(np.float32)
-        seen, following = (
-            np.concatenate((observations, told), axis=1)
-            for observations in (data.observations, data.next_observations)
-        )
+        seen = np.concatenate((data.observations, told), axis=1)
+        following = np.concatenate((data.next_observations, told), axis=1)
         actors = self._algorithm.train(replace(data, observations=seen, next_observations=following))
-        low, high = contexts.min(axis=0), contexts.max(axis=0)
-        return {
-            updates: UniversalPolicy(data.table[0].robot, actor, low, high, {})
-            for updates, actor in actors.items()
-        }
+        robot, low, high = data.table[0].robot, contexts.min(axis=0), contexts.max(axis=0)
+        return {updates: UniversalPolicy(robot, actor, low, high, {}) for updates, actor in actors.items()}
 
 
 ALGORITHMS: Mapping[str, NewAlgorithm] = {
@@ -198,17 +191,13 @@ class OfflineGrid:
 
     def recipes(self) -> list[Recipe]:
         """Return the recipes of the datasets that the cells need."""
-        return [
-            Recipe(
-                variant,
-                tier,
-                LARGE_EPISODES if tier in LARGE_TIERS else EPISODES,
-                stochastic=tier in SAMPLED_TIERS,
-            )
-            for robot in self.robots
-            for tier in self.tiers
-            for variant in self.variants(robot, tier)[0]
-        ]
+        recipes: list[Recipe] = []
+        for robot, tier in product(self.robots, self.tiers):
+            episodes = LARGE_EPISODES if tier in LARGE_TIERS else EPISODES
+            sampled = tier in SAMPLED_TIERS
+            learnt, _ = self.variants(robot, tier)
+            recipes += [Recipe(variant, tier, episodes, stochastic=sampled) for variant in learnt]
+        return recipes
 
 
 def run_offline(
@@ -267,11 +256,11 @@ def _score_again(file: Path, wanted: Sequence[Line]) -> None:
     lines = read_lines(file)
     known = set(map(identity, lines))
     by_rest = {_without_experts(line): line for line in lines}
-    again = []
-    for line in wanted:
-        before = by_rest.get(_without_experts(line))
-        if before is not None and identity(line) not in known:
-            again.append({**before, **line, "references": _references(line)})
+    again = [
+        {**by_rest[_without_experts(line)], **line, "references": _references(line)}
+        for line in wanted
+        if _without_experts(line) in by_rest and identity(line) not in known
+    ]
     if again:
         append_lines(file, again)
 

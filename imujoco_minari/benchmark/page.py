@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from imujoco_minari.benchmark import few_shot, offline, protocol, reproduction
@@ -41,8 +42,6 @@ _OTHERS = (
 )
 _REPRODUCED = """The relative error of the actions on the held-out variants of HalfCheetah, by gradient
 steps: the mean of the seeds ± their standard deviation."""
-_OTHERS_FOLDER = "others"
-_PROTOCOLS = (protocol.NAME, offline.NAME)
 # What each line has, and what of it names figures and stands on the page.
 _ENTRIES = ("protocol", "method", "settings", "seed", "versions", "results")
 _NAMES = ("method", "split", "tier", "robot", "budget")
@@ -71,12 +70,14 @@ class Results:
         """Return all lines but those of others."""
         return [*self.few_shot, *self.offline, *self.across, *self.reproduction]
 
+    @cached_property
     def scores(self) -> tuple[list[MethodScore], ...]:
-        """Return the scores of few-shot, of offline and of across lines, with those of others."""
-        others = {name: [line for line in self.others if line["protocol"] == name] for name in _PROTOCOLS}
+        """The scores of few-shot, of offline and of across lines, with those of others."""
+        few = [line for line in self.others if line["protocol"] == protocol.NAME]
+        off = [line for line in self.others if line["protocol"] == offline.NAME]
         return (
-            few_shot_scores([*self.few_shot, *others[protocol.NAME]]),
-            offline_scores([*self.offline, *others[offline.NAME]]),
+            few_shot_scores([*self.few_shot, *few]),
+            offline_scores([*self.offline, *off]),
             offline_scores(self.across),
         )
 
@@ -102,14 +103,9 @@ class Section:
     tables: str
 
 
-def sections(results: Results, scores: Sequence[Sequence[MethodScore]]) -> list[Section]:
-    """Return the sections that have lines.
-
-    Args:
-        results: the lines.
-        scores: those of the few-shot, of the offline and of the across lines.
-    """
-    few, off, across = scores
+def sections(results: Results) -> list[Section]:
+    """Return the sections that have lines."""
+    few, off, across = results.scores
     errors = folded("Errors of the actions", f"{_REPRODUCED}\n\n{reproduction_table(results.reproduction)}")
     found = [
         Section(
@@ -155,20 +151,21 @@ def read_results(folder: Path) -> Results:
         BenchmarkError: if the folder has none, a line is not a result, or lines of others have a fault.
     """
     found = Results(
-        latest(_named(folder / few_shot.FILE, few_shot.CELL), few_shot.CELL),
-        latest(_named(folder / offline.FILE, offline.CELL), offline.CELL),
-        latest(_named(folder / offline.ACROSS_FILE, offline.CELL), offline.CELL),
-        latest(_named(folder / reproduction.FILE, reproduction.CELL), reproduction.CELL),
-        list(_others(folder / _OTHERS_FOLDER)),
+        _latest(folder / few_shot.FILE, few_shot.CELL),
+        _latest(folder / offline.FILE, offline.CELL),
+        _latest(folder / offline.ACROSS_FILE, offline.CELL),
+        _latest(folder / reproduction.FILE, reproduction.CELL),
+        list(_others(folder / "others")),
     )
     if not found.all():
         raise BenchmarkError(f"{folder} has no results: `imujoco benchmark few-shot` computes some")
     return found
 
 
-def _named(file: Path, cell: tuple[str, ...]) -> Iterator[Line]:
-    """Yield the lines of a file. Their names are safe in file names and in Markdown."""
-    for number, line in enumerate(read_lines(file), start=1):
+def _latest(file: Path, cell: tuple[str, ...]) -> list[Line]:
+    """Return the last line of each cell in a file. Their names are safe in file names and in Markdown."""
+    lines = read_lines(file)
+    for number, line in enumerate(lines, start=1):
         for key in (*_ENTRIES, *cell):
             if key not in line:
                 raise BenchmarkError(f"{file}, line {number}: not a result of the benchmark: it has no {key}")
@@ -178,7 +175,7 @@ def _named(file: Path, cell: tuple[str, ...]) -> Iterator[Line]:
                     f"{file}, line {number}: {key} is {clipped(ascii(line[key]))}; valid: letters, digits, "
                     "spaces and _ % + . : , = ( ) -"
                 )
-        yield line
+    return latest(lines, cell)
 
 
 def _others(folder: Path) -> Iterator[Line]:

@@ -10,11 +10,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imujoco_minari.errors import BenchmarkChoiceError, BenchmarkError, clipped, suggestion
 from imujoco_minari.loading import STEP_ARRAYS, Arrays
-from imujoco_minari.variants import HeldOut
+from imujoco_minari.policies import LANES
+from imujoco_minari.policies.adapters import batch_act
+from imujoco_minari.policies.evaluation import evaluate
+from imujoco_minari.variants import HeldOut, Variant
 
 NAME = "few-shot-v1"
 # Gradient steps on the demonstrations. One training gives the policies of all of them.
@@ -109,18 +111,31 @@ def draw_demonstrations(data: Arrays, budget: Budget, seed: int) -> tuple[Arrays
     if budget.length is None:
         return chosen, query
     spare = np.maximum(chosen.episode_lengths - budget.length, 0)
-    starts = chosen.episode_starts + (shares[: budget.count] * (spare + 1)).astype(np.int64)
+    first_rows = chosen.episode_starts + (shares[: budget.count] * (spare + 1)).astype(np.int64)
     lengths = np.minimum(chosen.episode_lengths, budget.length)
-    return _windows(chosen, starts, lengths), query
+    starts = np.cumsum(lengths) - lengths
+    rows = np.arange(lengths.sum()) + np.repeat(first_rows - starts, lengths)
+    windows = {name: getattr(chosen, name)[rows] for name in STEP_ARRAYS}
+    return replace(chosen, episode_starts=starts, **windows), query
 
 
-def _windows(data: Arrays, starts: NDArray[Any], lengths: NDArray[Any]) -> Arrays:
-    """Return windows of rows, each as an episode of its own."""
-    rows = np.concatenate(
-        [np.arange(start, start + length) for start, length in zip(starts, lengths, strict=True)]
-    )
-    cut = {name: getattr(data, name)[rows] for name in STEP_ARRAYS}
-    return replace(data, episode_starts=np.cumsum(lengths) - lengths, **cut)
+def episode_returns(policy: Any, variant: Variant, episodes: int) -> list[float]:
+    """Return the return of each of the first evaluation episodes of a policy on a variant."""
+    found = evaluate(variant, policy, episodes=episodes, seed=EVALUATION_SEED)
+    return [round(float(each), 2) for each in found.returns]
+
+
+def relative_error(policy: Any, query: Arrays) -> float:
+    """Return the norm of the errors of a policy's actions, divided by the norm of the data's actions."""
+    if hasattr(policy, "actions_of"):
+        # A policy with a memory needs the steps in order.
+        actions = policy.actions_of(query)
+    else:
+        act, rows = batch_act(policy), query.observations
+        rngs = [np.random.default_rng(i) for i in range(LANES)]
+        blocks = [rows[start : start + LANES] for start in range(0, len(rows), LANES)]
+        actions = np.concatenate([act(block, rngs[: len(block)]) for block in blocks])
+    return round(float(np.linalg.norm(actions - query.actions) / np.linalg.norm(query.actions)), 4)
 
 
 def holding_out(variants: Sequence[str], splits: Sequence[HeldOut]) -> list[HeldOut]:

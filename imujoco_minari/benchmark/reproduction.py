@@ -12,6 +12,7 @@ import random
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache, partial
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +20,7 @@ import numpy as np
 
 from imujoco_minari.benchmark.cloning import robust_statistics
 from imujoco_minari.benchmark.lines import Line, data_sha256, measure_each, run_lines, versions
-from imujoco_minari.benchmark.maml import variant_blocks
+from imujoco_minari.benchmark.meta import variant_blocks
 from imujoco_minari.benchmark.networks import (
     Initial,
     Loss,
@@ -33,7 +34,7 @@ from imujoco_minari.benchmark.networks import (
     new_network,
     padded,
 )
-from imujoco_minari.loading import arrays
+from imujoco_minari.loading import Arrays, arrays
 from imujoco_minari.policies import Array
 from imujoco_minari.training.agents import import_jax
 from imujoco_minari.variants import catalogue
@@ -137,25 +138,24 @@ class Comparison(NamedTuple):
 def comparison(lines: Sequence[Line]) -> list[Comparison]:
     """Return the mean errors over the seeds of the lines, and their standard deviations."""
     rows = []
-    for method in METHODS:
-        own = [line for line in lines if line["method"] == method]
-        for shots in SHOTS:
-            for steps in STEPS:
-                errors = [line["results"][str(shots)][str(steps)] for line in own]
-                published = PUBLISHED[method].get(steps) if shots == PUBLISHED_SHOTS else None
-                if errors:
-                    mean, std = float(np.mean(errors)), float(np.std(errors))
-                    rows.append(Comparison(method, shots, steps, mean, std, published))
+    for method, shots, steps in product(METHODS, SHOTS, STEPS):
+        errors = [line["results"][str(shots)][str(steps)] for line in lines if line["method"] == method]
+        if errors:
+            mean, std = float(np.mean(errors)), float(np.std(errors))
+            published = PUBLISHED[method].get(steps) if shots == PUBLISHED_SHOTS else None
+            rows.append(Comparison(method, shots, steps, mean, std, published))
     return rows
 
 
 def _run_line(line: Line) -> Line:
     choices = Choices(**line["settings"])
     train, test = (arrays(ids, portion=(0.0, choices.share), dtype=np.float32) for ids in published_split())
-    scales = robust_statistics(train.observations), robust_statistics(train.actions)
-    inputs, targets = (
-        s.normalize(x) for s, x in zip(scales, (train.observations, train.actions), strict=True)
-    )
+    of_inputs, of_targets = robust_statistics(train.observations), robust_statistics(train.actions)
+
+    def scaled(data: Arrays, rows: Any = slice(None)) -> tuple[Array, Array]:
+        return of_inputs.normalize(data.observations[rows]), of_targets.normalize(data.actions[rows])
+
+    inputs, targets = scaled(train)
     sizes = (inputs.shape[1], *HIDDEN, targets.shape[1])
     network = new_network(sizes, line["seed"], choices.initial)
     data: tuple[Any, ...] = (padded(inputs), padded(targets))
@@ -170,11 +170,9 @@ def _run_line(line: Line) -> Line:
     rng = np.random.default_rng(line["seed"])
     for start, count in zip(*variant_blocks(test), strict=True):
         windows = start + WINDOW * rng.permutation(count // WINDOW)
-        query = _rows(windows[-choices.test_windows :])
-        asked = scales[0].normalize(test.observations[query]), scales[1].normalize(test.actions[query])
+        asked = scaled(test, _rows(windows[-choices.test_windows :]))
         for shots in SHOTS:
-            shown = _rows(windows[:shots])
-            support = scales[0].normalize(test.observations[shown]), scales[1].normalize(test.actions[shown])
+            support = scaled(test, _rows(windows[:shots]))
             for steps, adapted in _adapted(line["method"], network, support, choices.tuning_rate).items():
                 error = np.linalg.norm(forward(adapted, asked[0]) - asked[1]) / np.linalg.norm(asked[1])
                 errors.setdefault(str(shots), {}).setdefault(str(steps), []).append(float(error))

@@ -153,13 +153,9 @@ def to_csv(scores: Iterable[MethodScore]) -> str:
     text = io.StringIO()
     writer = csv.DictWriter(text, [field.name for field in fields(MethodScore)], lineterminator="\n")
     writer.writeheader()
-    writer.writerows(
-        {
-            name: round(value, 4) if isinstance(value, float) else value
-            for name, value in asdict(score).items()
-        }
-        for score in scores
-    )
+    for score in scores:
+        values = asdict(score).items()
+        writer.writerow({name: round(x, 4) if isinstance(x, float) else x for name, x in values})
     return text.getvalue()
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from imujoco_minari.benchmark import few_shot, offline, protocol
-from imujoco_minari.benchmark.lines import Line, expanded
+from imujoco_minari.benchmark.lines import Line, parsed
 from imujoco_minari.errors import BenchmarkError, clipped
 from imujoco_minari.variants import EXPERT, HeldOut, held_out
 
@@ -26,14 +26,7 @@ PUBLISHED = Path(__file__).with_name("published.json")
 MAX_BYTES, MAX_LINE, MAX_FAULTS = 2**23, 2**17, 50
 # The versions that decide the data and the episodes. A method need not use the others.
 VERSIONS = ("imujoco-minari", "mujoco", "gymnasium", "numpy")
-_FEW: dict[str, type] = {
-    "method": str,
-    "split": str,
-    "tier": str,
-    "variant": str,
-    "budget": str,
-    "train_sha256": str,
-}
+_FEW: dict[str, type] = dict.fromkeys(("method", "split", "tier", "variant", "budget", "train_sha256"), str)
 _OFFLINE: dict[str, type] = {"method": str, "robot": str, "tier": str, "checkpoints": list, "variants": list}
 _BOTH: dict[str, type] = {"seed": int, "episodes": int, "settings": dict, "versions": dict, "results": dict}
 _BOTH |= {"data_sha256": str, "policies_sha256": str}
@@ -60,76 +53,68 @@ def check_submission(folder: Path) -> list[str]:
     faults: list[str] = []
     methods: set[str] = set()
     for file in files:
-        lines: list[Line] = []
-        wrong: Counter[str] = Counter()
-        first: dict[str, int] = {}
-        is_few = file.name == few_shot.FILE
-        shape, kinds = (few_shot_fault, _FEW) if is_few else (offline_fault, _OFFLINE)
-        try:
-            facts: dict[str, Line] = {}
-            for number, text in _texts(file):
-                line, found = _parsed(text, facts)
-                found += [] if line is None else shape(line)
-                if not text.endswith(b"\n"):
-                    found = ["it has no line break at its end, so it may be incomplete"]
-                if line is not None and not found:
-                    # The rest of an untrusted line may be large.
-                    kept = {key: line[key] for key in (*kinds, "seed", "settings")}
-                    lines.append(kept | {"results": sorted(line["results"])})
-                for each in found:
-                    fault = each if each in wrong or len(wrong) < MAX_FAULTS else "other faults"
-                    wrong[fault] += 1
-                    first.setdefault(fault, number)
-        except (_TooLargeError, OSError) as error:
-            faults.append(f"{file.name}: {error}")
-        for fault, count in wrong.items():
-            faults.append(f"{file.name}, line {first[fault]}: {fault} (lines: {count})")
+        lines, found = _read(file)
         own = {line["method"] for line in lines}
         methods |= own
         if len(own) == 1:
-            faults += [f"{file.name}: {fault}" for fault in (*_settings(lines), *_missing(lines))]
-        if not lines and not wrong:
-            faults.append(f"{file.name}: no lines")
+            found += [f"{file.name}: {fault}" for fault in _faults_together(lines)]
+        faults += found if lines or found else [f"{file.name}: no lines"]
     if len(methods) > 1:
         faults.append(f"a folder has one method, but these lines are of {len(methods)}")
     return faults
 
 
-class _TooLargeError(Exception):
-    """A file or a line is larger than any result."""
+def _read(file: Path) -> tuple[list[Line], list[str]]:
+    """Return the lines without a fault, as far as they are compared with each other, and the faults."""
+    is_few = file.name == few_shot.FILE
+    faults_of, kinds = (few_shot_fault, _FEW) if is_few else (offline_fault, _OFFLINE)
+    lines: list[Line] = []
+    facts: dict[str, Line] = {}
+    counts: Counter[str] = Counter()
+    first: dict[str, int] = {}
+    faults = []
+    try:
+        for number, text in _texts(file):
+            try:
+                line = parsed(text, facts)
+                found = [] if line is None else faults_of(line)
+            except ValueError as error:
+                line, found = None, [str(error)]
+            if not text.endswith(b"\n"):
+                found = ["it has no line break at its end, so it may be incomplete"]
+            if line is not None and not found:
+                # The rest of an untrusted line may be large.
+                kept = {key: line[key] for key in (*kinds, "seed", "settings")}
+                lines.append(kept | {"results": sorted(line["results"])})
+            for each in found:
+                fault = each if each in counts or len(counts) < MAX_FAULTS else "other faults"
+                counts[fault] += 1
+                first.setdefault(fault, number)
+    except (BenchmarkError, OSError) as error:
+        faults.append(f"{file.name}: {error}")
+    return lines, [
+        *faults,
+        *(f"{file.name}, line {first[fault]}: {fault} (lines: {count})" for fault, count in counts.items()),
+    ]
 
 
 def _texts(file: Path) -> Iterator[tuple[int, bytes]]:
     """Yield the number and the bytes of each line."""
     if file.stat().st_size > MAX_BYTES:
-        raise _TooLargeError(f"larger than {MAX_BYTES // 2**20} MiB: not read")
+        raise BenchmarkError(f"larger than {MAX_BYTES // 2**20} MiB: not read")
     with file.open("rb") as opened:
         for number in range(1, MAX_BYTES):
             text = opened.readline(MAX_LINE + 1)
             if not text:
                 return
             if len(text) > MAX_LINE:
-                raise _TooLargeError(
+                raise BenchmarkError(
                     f"line {number} is longer than {MAX_LINE // 2**10} KiB: not read further"
                 )
             yield number, text
 
 
-def _parsed(text: bytes, facts: dict[str, Line]) -> tuple[Line | None, list[str]]:
-    """Return the line of an entry, if it has one, and its faults."""
-    try:
-        # Of bytes, json would also take other encodings, which the page cannot read.
-        entry = json.loads(text.decode("utf-8"))
-    # Deep nesting exhausts the stack.
-    except (ValueError, RecursionError):
-        return None, ["not a JSON object"]
-    try:
-        return expanded(entry, facts), []
-    except ValueError as error:
-        return None, [str(error)]
-
-
-def few_shot_fault(line: Mapping[str, Any]) -> list[str]:
+def few_shot_fault(line: Line) -> list[str]:
     """Return what is wrong with one few-shot line."""
     if found := _shape(line, _FEW, protocol.NAME):
         return found
@@ -139,13 +124,12 @@ def few_shot_fault(line: Mapping[str, Any]) -> list[str]:
         which = f"{_shown(variant)} in the split {_shown(split)} with the tier {_shown(tier)}"
         return [f"the published results do not have {which}"]
     own, train = published["variants"][f"{variant} {tier}"], published["train"][f"{split} {tier}"]
-    found = [*_versions(line), *_same(line, own)]
-    if line["train_sha256"] not in ("", train):
-        found.append("the training data are not the published data")
-    return found + _measured(line["results"], line["episodes"])
+    # A method need not learn from the training data.
+    wanted = own | ({"train_sha256": train} if line["train_sha256"] else {})
+    return _differences_from(line, wanted) + _measured(line["results"])
 
 
-def offline_fault(line: Mapping[str, Any]) -> list[str]:
+def offline_fault(line: Line) -> list[str]:
     """Return what is wrong with one offline line."""
     if found := _shape(line, _OFFLINE, offline.NAME):
         return found
@@ -153,24 +137,20 @@ def offline_fault(line: Mapping[str, Any]) -> list[str]:
     if own is None:
         which = f"the tier {_shown(line['tier'])} of {_shown(line['robot'])}"
         return [f"the published results do not have {which}"]
-    found = [*_versions(line), *_same(line, own)]
-    if line["variants"] != own["variants"]:
-        found.append(f"variants are not the protocol's: {own['variants']}")
     # An expensive algorithm may stop early.
     checkpoints = own["checkpoints"][: max(1, len(line["checkpoints"]))]
-    if line["checkpoints"] != checkpoints:
-        found.append(f"checkpoints are not the first of the protocol's: {own['checkpoints']}")
+    found = _differences_from(line, own | {"checkpoints": checkpoints})
     if set(line["results"]) != set(own["variants"]):
         return [*found, "its results are not of the protocol's variants"]
     steps = set(map(str, checkpoints))
     for result in line["results"].values():
         if not isinstance(result, dict) or set(result) != steps:
             return [*found, f"its results are not of the protocol's checkpoints: {', '.join(sorted(steps))}"]
-        found += _measured(result, line["episodes"], errors=False)
+        found += _measured(result, errors=False)
     return list(dict.fromkeys(found))
 
 
-def _shape(line: Mapping[str, Any], kinds: dict[str, type], name: str) -> list[str]:
+def _shape(line: Line, kinds: dict[str, type], name: str) -> list[str]:
     """Return faults of the keys, types and protocol."""
     if line.get("protocol") != name:
         return [f"the protocol is {_shown(line.get('protocol'))}, not {name}"]
@@ -181,29 +161,23 @@ def _shape(line: Mapping[str, Any], kinds: dict[str, type], name: str) -> list[s
     ]
     if not found and not (line["settings"] and all(map(_plain, line["settings"].values()))):
         found.append("its settings are not stated as texts, numbers, truth values or lists of them")
-    if not found and line["episodes"] != protocol.EVALUATION_EPISODES:
-        found.append(f"{_shown(line['episodes'])} episodes, not {protocol.EVALUATION_EPISODES}")
     return found
 
 
-def _versions(line: Line) -> Iterator[str]:
-    for name in VERSIONS:
-        wanted, found = _published()["versions"][name], line["versions"].get(name, "missing")
-        if found != wanted:
-            yield f"{name} is {_shown(found)}; the published results are of {wanted}"
+def _differences_from(line: Line, published: Mapping[str, Any]) -> list[str]:
+    """Return what decided a line otherwise than the published lines."""
+    wanted = published | _published()["versions"] | {"episodes": protocol.EVALUATION_EPISODES}
+    stated = {**line, **{name: line["versions"].get(name) for name in VERSIONS}}
+    return [
+        f"{key} is {_shown(stated.get(key))}; the published results have {value}"
+        for key, value in wanted.items()
+        if stated.get(key) != value
+    ]
 
 
-def _same(line: Line, own: Mapping[str, Any]) -> Iterator[str]:
-    words = {
-        "data_sha256": "the data are not the published data",
-        "policies_sha256": "the experts are not those of the published data",
-        "references": "the references are not the published ones",
-    }
-    yield from (word for key, word in words.items() if line.get(key) != own[key])
-
-
-def _measured(results: Mapping[str, Any], episodes: int, errors: bool = True) -> list[str]:
+def _measured(results: Mapping[str, Any], errors: bool = True) -> list[str]:
     """Return faults of the results by number of gradient steps."""
+    episodes = protocol.EVALUATION_EPISODES
     if not results:
         return ["it has no results"]
     for steps, result in results.items():
@@ -227,20 +201,16 @@ def _finite(value: object) -> bool:
     return type(value) in (int, float) and abs(value) < 1e12 and math.isfinite(value)  # type: ignore[arg-type]
 
 
-def _settings(lines: Sequence[Line]) -> Iterator[str]:
-    """Yield a fault if the lines of a method have different settings."""
-    stated = {json.dumps(line["settings"], sort_keys=True) for line in lines}
-    if len(stated) > 1:
-        yield f"the lines have {len(stated)} different settings; a method has one"
-
-
 def _plain(value: object) -> bool:
     values = value if isinstance(value, list) else [value]
     return all(isinstance(each, bool | int | float | str) for each in values)
 
 
-def _missing(lines: Sequence[Line]) -> Iterator[str]:
-    """Yield the cells that the splits or datasets of lines lack, and those that they have twice."""
+def _faults_together(lines: Sequence[Line]) -> Iterator[str]:
+    """Yield how lines differ, and the cells that their splits or datasets lack or have twice."""
+    stated = {json.dumps(line["settings"], sort_keys=True) for line in lines}
+    if len(stated) > 1:
+        yield f"the lines have {len(stated)} different settings; a method has one"
     few = "split" in lines[0]
     of_group = itemgetter("split" if few else "robot", "tier")
     of_cell = itemgetter("variant", "budget", "seed") if few else lambda line: (line["seed"],)
@@ -276,30 +246,6 @@ def _differences(
             shown = ", ".join([*map(_shown, found[0][:-1]), f"seed {_shown(found[0][-1])}"])
             more = f" and {len(found) - 1} more" if len(found) > 1 else ""
             yield f"{name}: {what} {shown}{more} ({len(wanted) - len(missing)} of {len(wanted)} cells)"
-
-
-def published_content(few: Sequence[Line], off: Sequence[Line]) -> str:
-    """Return the text of ``published.json``, from the published lines.
-
-    Args:
-        few: few-shot lines.
-        off: offline lines.
-    """
-    entries = ("data_sha256", "policies_sha256", "references")
-    # Demonstrations by other experts cover few variants of a split.
-    few = [x for x in few if "train_tier" not in x]
-    train = {f"{x['split']} {x['tier']}": x["train_sha256"] for x in few if x["train_sha256"]}
-    variants = {f"{x['variant']} {x['tier']}": {key: x[key] for key in entries} for x in few}
-    data = {
-        f"{x['robot']} {x['tier']}": {key: x[key] for key in (*entries, "variants", "checkpoints")}
-        for x in off
-    }
-    content = {
-        "versions": {name: few[0]["versions"][name] for name in VERSIONS},
-        protocol.NAME: {"train": train, "variants": variants},
-        offline.NAME: data,
-    }
-    return json.dumps(content, indent=1, sort_keys=True) + "\n"
 
 
 @cache

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from itertools import groupby, product
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 
 from imujoco_minari.benchmark import reproduction
 from imujoco_minari.benchmark.lines import Line
@@ -106,17 +106,16 @@ def across_tables(scores: Sequence[MethodScore]) -> str:
 
 def reproduction_table(lines: Sequence[Line]) -> str:
     """Return a Markdown table of the errors of the published comparison, ours beside the published."""
-    found = {(row.method, row.windows, row.steps): row for row in reproduction.comparison(lines)}
-    steps = sorted({key[2] for key in found})
+    found = reproduction.comparison(lines)
     rows = []
-    for method, windows in dict.fromkeys(key[:2] for key in found):
-        own = [found[method, windows, each] for each in steps]
+    for (method, windows), group in groupby(found, attrgetter("method", "windows")):
+        own = list(group)
         rows.append([method, str(windows), *(f"{row.error:.3f} ± {row.std:.3f}" for row in own)])
-        published = [row.published for row in own]
-        if any(published):
-            shown = ["" if error is None else f"{error:.3f}" for error in published]
+        if any(row.published for row in own):
+            shown = ["" if row.published is None else f"{row.published:.3f}" for row in own]
             rows.append([f"{method}, published", str(windows), *shown])
-    return table(["method", "windows", *map(str, steps)], rows)
+    steps = dict.fromkeys(str(row.steps) for row in found)
+    return table(["method", "windows", *steps], rows)
 
 
 def folded(title: str, text: str) -> str:

@@ -208,7 +208,7 @@ def table(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = Fal
     from imujoco_minari.storage.files import write_text
 
     results = read_results(folder)
-    scores, rows = list(chain(*results.scores())), comparison(results.reproduction)
+    scores, rows = list(chain(*results.scores)), comparison(results.reproduction)
     if output is not None:
         write_text(output, to_csv(scores))
     if as_json:
@@ -235,8 +235,7 @@ def page(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = Fals
     from imujoco_minari.storage.files import write_text
 
     results = read_results(folder)
-    scores = results.scores()
-    parts = sections(results, scores)
+    parts = sections(results)
     target = output or Path("docs")
     files: list[Path] = []
     for figure in (figure for part in parts for figure in part.figures):
@@ -246,7 +245,7 @@ def page(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = Fals
     findings = folder / "findings.md"
     found = findings.read_text("utf-8") if findings.exists() else ""
     write_text(target / "results.md", results_page(results, parts, found))
-    write_text(target / "results.csv", to_csv(chain(*scores)))
+    write_text(target / "results.csv", to_csv(chain(*results.scores)))
     files += [target / "results.md", target / "results.csv"]
     _say_changed(results.all())
     if as_json:

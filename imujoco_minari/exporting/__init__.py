@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from imujoco_minari.errors import DatasetError, FormatError, clipped, suggestion
+from imujoco_minari.errors import DatasetError, FormatError, unknown
+from imujoco_minari.exporting import lerobot, rlds
 from imujoco_minari.exporting.adapters import to_d3rlpy, to_imitation, to_tensordict, to_tianshou, to_torchrl
+from imujoco_minari.exporting.flat import write_d4rl, write_di_engine, write_npz
 from imujoco_minari.loading import Arrays, Datasets, arrays
 from imujoco_minari.storage.targets import new_target
 
@@ -31,13 +32,13 @@ __all__ = [
     "to_torchrl",
 ]
 
-# Format -> the module and the function that write it, and the file name extension; empty for a folder.
-FORMATS: Mapping[str, tuple[str, str, str]] = {
-    "d4rl": ("flat", "write_d4rl", ".hdf5"),
-    "di-engine": ("flat", "write_di_engine", ".hdf5"),
-    "rlds": ("rlds", "write", ""),
-    "lerobot": ("lerobot", "write", ""),
-    "npz": ("flat", "write_npz", ".npz"),
+# Format -> the function that writes it, and the file name extension; empty for a folder.
+FORMATS: Mapping[str, tuple[Callable[..., None], str]] = {
+    "d4rl": (write_d4rl, ".hdf5"),
+    "di-engine": (write_di_engine, ".hdf5"),
+    "rlds": (rlds.write, ""),
+    "lerobot": (lerobot.write, ""),
+    "npz": (write_npz, ".npz"),
 }
 # The format of :func:`export_archive`, for the command line.
 ARCHIVE = "imujoco"
@@ -82,8 +83,7 @@ def export(
         Exported(path=PosixPath('hopper-base.hdf5'), format='d4rl', episodes=100, steps=100000)
     """
     target = Path(target)
-    module, function, _ = _known(format)
-    write: Callable[..., None] = getattr(import_module(f"imujoco_minari.exporting.{module}"), function)
+    write, _ = _known(format)
     with new_target(target, force=force) as staged:
         if not isinstance(data, Arrays):
             data = arrays(data)
@@ -130,18 +130,15 @@ def export_archive(
 
 def default_target(dataset_id: str, format: str, *, states_only: bool = False) -> Path:
     """Return the default path of an export, ``<name>-<format>`` in the current folder."""
-    extension = _known(format)[2]
+    _, extension = _known(format)
     states = "-states" if states_only else ""
     return Path(f"{dataset_id.rpartition('/')[2]}-{format}{states}{extension}")
 
 
-def _known(format: Any) -> tuple[str, str, str]:
+def _known(format: Any) -> tuple[Callable[..., None], str]:
     """Return the entry of a format in :data:`FORMATS`."""
     if format == ARCHIVE:
         raise DatasetError(f"the format {ARCHIVE} is a folder of many datasets: see export_archive()")
     if not isinstance(format, str) or format not in FORMATS:
-        shown = clipped(format)
-        raise FormatError(
-            f"unknown format {shown!r}{suggestion(shown, FORMATS)}; valid: {', '.join((*FORMATS, ARCHIVE))}"
-        )
+        raise FormatError(unknown("unknown format", format, (*FORMATS, ARCHIVE)))
     return FORMATS[format]

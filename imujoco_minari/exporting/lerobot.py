@@ -53,8 +53,10 @@ def write(data: Arrays, target: Path, *, states_only: bool) -> None:
     tasks = [origin.variant for origin in data.table]
     _parquet(target / "meta" / "tasks.parquet", {"task_index": np.arange(len(tasks))}, index=("task", tasks))
     _parquet(target / "meta" / "episodes" / _file_name(0), _episodes(data, tasks, files))
-    _json(target / "meta" / "stats.json", {name: _statistics(column) for name, column in columns.items()})
-    _json(target / "meta" / "info.json", _info(data, columns, rate))
+    statistics = {name: _statistics(column) for name, column in columns.items()}
+    for name, content in (("stats", statistics), ("info", _info(data, columns, rate))):
+        path = target / "meta" / f"{name}.json"
+        path.write_text(json.dumps(content, indent=4) + "\n", "utf-8")
 
 
 def _columns(data: Arrays, rate: float, states_only: bool) -> ColumnArrays:
@@ -148,8 +150,3 @@ def _parquet(path: Path, columns: dict[str, Any], index: tuple[str, list[str]] |
         table = table.replace_schema_metadata({"pandas": json.dumps(described)})
     path.parent.mkdir(parents=True, exist_ok=True)
     parquet.write_table(table, path)
-
-
-def _json(path: Path, content: dict[str, Any]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(content, indent=4) + "\n", "utf-8")

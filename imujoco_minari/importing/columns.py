@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imujoco_minari.envs.registration import MAX_EPISODE_STEPS
-from imujoco_minari.errors import DatasetError, suggestion
+from imujoco_minari.errors import DatasetError, unknown
 from imujoco_minari.exporting.flat import ARCHIVE_TABLE, TABLE
 from imujoco_minari.importing.transitions import QUANTITIES, Transitions
 from imujoco_minari.variants import specification
@@ -89,9 +89,7 @@ def layout(text: str, robot: str) -> Layout:
     for word in text.replace(" ", "").split(","):
         name, _, count = word.partition(":")
         if name not in _COLUMNS:
-            raise DatasetError(
-                f"unknown column {name!r}{suggestion(name, _COLUMNS)}; valid: {', '.join(_COLUMNS)}"
-            )
+            raise DatasetError(unknown("unknown column", name, _COLUMNS))
         if name != "skip" and (count or name in dict(columns)):
             raise DatasetError(
                 f"column {word!r}: only skip takes a number, as in skip:3, and only skip may repeat"

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -26,7 +27,7 @@ from imujoco_minari.policies.references import reference_scores
 from imujoco_minari.publishing.new_dataset import NewDataset, publish_episodes
 from imujoco_minari.publishing.outcome import Published
 from imujoco_minari.storage import containment, file_format, minari_root
-from imujoco_minari.storage.metadata import provenance, read_metadata
+from imujoco_minari.storage.metadata import provenance, read_metadata, texts
 from imujoco_minari.variants import Variant
 from imujoco_minari.verification.child_process import survives_walk
 
@@ -179,19 +180,18 @@ def _minari(folder: Path, robot: str) -> ExternalData:
     with _opened(path) as file:
         for number in range(len(file)):
             name = f"episode_{number}"
-            group = file.get(name) if isinstance(file.get(name, getlink=True), h5py.HardLink) else None
+            group = _own(file, name)
             if not isinstance(group, h5py.Group):
                 raise DatasetError(f"{folder}: {name} is missing, or lies in another file")
             parts.append(_episode(group, f"{folder}: {name}", robot, allowance))
     if not parts:
         raise DatasetError(f"{folder}: holds no episode")
     names = [field.name for field in fields(Transitions)]
-    authors = metadata.get("author")
     return ExternalData(
         "a Minari dataset",
         Transitions(*(np.concatenate([getattr(part, name) for part in parts]) for name in names)),
         algorithm=str(metadata.get("algorithm_name") or "")[:100],
-        authors=tuple(str(author)[:100] for author in authors[:20]) if isinstance(authors, list) else (),
+        authors=tuple(author[:100] for author in texts(metadata, "author")[:20]),
     )
 
 
@@ -226,7 +226,7 @@ def _opened(path: Path) -> Iterator[h5py.File]:
 
 def _array(group: h5py.Group, name: str, where: str, allowance: Allowance) -> Array:
     """Return one array of an HDF5 group, checked before it is read."""
-    array = group.get(name) if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
+    array = _own(group, name)
     if not isinstance(array, h5py.Dataset):
         raise DatasetError(f"{where}: {name} is not an array of this file")
     containment.check_array(array.id, f"{where}: {name}")
@@ -238,6 +238,11 @@ def _array(group: h5py.Group, name: str, where: str, allowance: Allowance) -> Ar
     if not _is_stored(array):
         raise DatasetError(f"{where}: {name} claims {array.size} numbers, more than the file stores")
     return np.asarray(array[()])
+
+
+def _own(group: h5py.Group, name: str) -> Any:
+    """Return an item of a group; None if it is missing or a link."""
+    return group.get(name) if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
 
 
 def _is_stored(array: h5py.Dataset) -> bool:

@@ -16,10 +16,9 @@ from imujoco_minari.benchmark.cloning import BaseExpert, MultiVariant, Scratch
 from imujoco_minari.benchmark.few_shot import FILE, FewShotGrid, run_few_shot
 from imujoco_minari.benchmark.history import History
 from imujoco_minari.benchmark.lines import Line, append_lines, identity, read_lines, run_lines
-from imujoco_minari.benchmark.maml import Maml
+from imujoco_minari.benchmark.meta import Maml, SetEncoder
 from imujoco_minari.benchmark.methods import METHODS, NewMethod, find_method
 from imujoco_minari.benchmark.protocol import Budget
-from imujoco_minari.benchmark.set_encoder import SetEncoder
 from imujoco_minari.errors import BenchmarkError, StorageError
 from imujoco_minari.loading import Arrays
 from imujoco_minari.policies import random_policy
@@ -159,7 +158,7 @@ def test_a_method_of_a_user_needs_no_more_than_adapt(tmp_path: Path) -> None:
 
 def test_methods_are_found_by_name() -> None:
     assert find_method("scratch") is Scratch
-    assert find_method("imujoco_minari.benchmark.maml:Maml") is Maml
+    assert find_method("imujoco_minari.benchmark.meta:Maml") is Maml
     with pytest.raises(BenchmarkError, match=r"no method 'scrath' \(did you mean 'scratch'\?\)"):
         find_method("scrath")
     for name in ("no.such.module:Method", "json:Method"):

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from synthetic_arrays import synthetic
 
-from imujoco_minari.benchmark.evaluating import relative_error
 from imujoco_minari.benchmark.history import History, HistoryPolicy
+from imujoco_minari.benchmark.protocol import relative_error
 from imujoco_minari.loading import Arrays
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from imujoco_minari.benchmark.lines import Line, append_lines, expanded, identity, read_lines
+from imujoco_minari.benchmark.lines import Line, append_lines, identity, parsed, read_lines
 
 
 def line(method: str, variant: str, seed: int, **more: Any) -> Line:
@@ -72,4 +72,4 @@ def test_the_order_of_settings_does_not_change_the_identity() -> None:
 )
 def test_malformed_entries_are_refused(entry: Any, fault: str) -> None:
     with pytest.raises(ValueError, match=fault):
-        expanded(entry, {"a": {"method": "m"}})
+        parsed(json.dumps(entry).encode(), {"a": {"method": "m"}})

@@ -11,7 +11,8 @@ from actor_datasets import publish_actors
 from synthetic_arrays import BASE
 
 from imujoco_minari.benchmark.checks import changes
-from imujoco_minari.benchmark.iql import Iql
+from imujoco_minari.benchmark.cloning import Cloning
+from imujoco_minari.benchmark.critics import Iql, Td3Bc
 from imujoco_minari.benchmark.lines import read_lines
 from imujoco_minari.benchmark.methods import find_method
 from imujoco_minari.benchmark.offline import (
@@ -23,9 +24,7 @@ from imujoco_minari.benchmark.offline import (
     Told,
     run_offline,
 )
-from imujoco_minari.benchmark.offline_cloning import Cloning
 from imujoco_minari.benchmark.scores import offline_scores
-from imujoco_minari.benchmark.td3_bc import Td3Bc
 from imujoco_minari.errors import BenchmarkError
 from imujoco_minari.loading import Arrays, Origin
 from imujoco_minari.variants import HeldOut, Variant

@@ -154,9 +154,9 @@ def test_the_page_has_every_method_and_its_files_are_reproducible(tmp_path: Path
 
     few_scores = few_shot_scores(FEW)
     results = Results(FEW, OFF, ACROSS, REPRODUCED)
-    parts = sections(results, results.scores())
+    parts = sections(results)
     text = results_page(results, parts, "What was found.")
-    assert text == results_page(results, sections(results, results.scores()), "What was found.")
+    assert text == results_page(results, sections(results), "What was found.")
     assert text.index("![") < text.index("What was found.") < text.index("<details>")
     assert "| mine | 25 | 0.15 (" in text
     assert "<summary>hopper-extremes-v1, expert, 3 held-out variants</summary>" in text
@@ -189,7 +189,7 @@ def test_the_page_says_that_a_line_is_of_an_earlier_expert(kind: str) -> None:
     now = Results(FEW, OFF, ACROSS, REPRODUCED)
     first, *others = getattr(now, kind)
     before = replace(now, **{kind: [first | {"policies_sha256": "0"}, *others]})
-    says = ["earlier experts" in results_page(each, sections(each, each.scores())) for each in (now, before)]
+    says = ["earlier experts" in results_page(each, sections(each)) for each in (now, before)]
     assert says == [False, True]
 
 

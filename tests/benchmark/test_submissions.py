@@ -11,13 +11,7 @@ import pytest
 from imujoco_minari.benchmark import few_shot, offline
 from imujoco_minari.benchmark.lines import read_lines
 from imujoco_minari.benchmark.page import read_results, results_page, sections
-from imujoco_minari.benchmark.submissions import (
-    MAX_BYTES,
-    MAX_LINE,
-    PUBLISHED,
-    check_submission,
-    published_content,
-)
+from imujoco_minari.benchmark.submissions import MAX_BYTES, MAX_LINE, check_submission
 from imujoco_minari.cli.app import run
 from imujoco_minari.errors import BenchmarkError
 
@@ -65,14 +59,9 @@ def test_an_offline_algorithm_may_stop_early(tmp_path: Path) -> None:
     for checkpoints in ([], [50_000]):
         changed = [line | {"checkpoints": checkpoints} for line in lines]
         assert any(
-            "checkpoints are not the first of the protocol's: [25000, 50000, 100000, 250000]" in fault
+            f"checkpoints is list; the published results have {[25_000]}" in fault
             for fault in check_submission(written(tmp_path, changed, offline.FILE))
         )
-
-
-def test_what_is_compared_with_is_of_the_published_lines() -> None:
-    few, off = (read_lines(RESULTS / each.FILE) for each in (few_shot, offline))
-    assert PUBLISHED.read_text("utf-8") == published_content(few, off)
 
 
 def test_missing_and_repeated_cells_are_named(whole: list[dict[str, Any]], tmp_path: Path) -> None:
@@ -90,15 +79,15 @@ def test_missing_and_repeated_cells_are_named(whole: list[dict[str, Any]], tmp_p
         ({"protocol": "few-shot-v2"}, "the protocol is 'few-shot-v2', not few-shot-v1"),
         ({"split": "mine"}, "in the split 'mine' with the tier 'expert'"),
         ({"variant": "hopper-base"}, "published results do not have 'hopper-base'"),
-        ({"data_sha256": "0"}, "the data are not the published data"),
-        ({"train_sha256": "0"}, "the training data are not the published data"),
-        ({"policies_sha256": "0"}, "the experts are not those"),
-        ({"references": [0.0, 1.0]}, "the references are not the published ones"),
-        ({"episodes": 1}, "1 episodes, not 10"),
+        ({"data_sha256": "0"}, "data_sha256 is '0'; the published results have"),
+        ({"train_sha256": "0"}, "train_sha256 is '0'; the published results have"),
+        ({"policies_sha256": "0"}, "policies_sha256 is '0'; the published"),
+        ({"references": [0.0, 1.0]}, "references is list; the published results have ["),
+        ({"episodes": 1}, "episodes is 1; the published results have 10"),
         ({"settings": {}}, "its settings are not stated"),
         ({"settings": {"a": {}}}, "its settings are not stated"),
         ({"settings": {"a": 1}}, "the lines have 2 different settings"),
-        ({"versions": {"mujoco": "3.0.0\n"}}, r"mujoco is '3.0.0\n'; the published results are of"),
+        ({"versions": {"mujoco": "3.0.0\n"}}, r"mujoco is '3.0.0\n'; the published results have"),
         ({"seed": True}, "seed is missing or not int"),
         ({"budget": None}, "budget is missing or not str"),
         ({"results": {}}, "it has no results"),
@@ -179,7 +168,7 @@ def test_the_page_marks_lines_of_others_and_refuses_faulty_ones(
     own.mkdir(parents=True)
     written(own, whole)
     results = read_results(tmp_path)
-    page = results_page(results, sections(results, results.scores()))
+    page = results_page(results, sections(results))
     assert "| mine † | 2000 |" in page
     assert "† a method of others" in page
     written(own, whole[1:])

@@ -16,8 +16,8 @@ import numpy as np
 import structlog
 
 from imujoco_minari.benchmark import offline
-from imujoco_minari.benchmark.evaluating import episode_returns
 from imujoco_minari.benchmark.lines import latest, read_lines, references
+from imujoco_minari.benchmark.protocol import episode_returns
 from imujoco_minari.benchmark.scores import normalised_mean
 from imujoco_minari.exporting import to_d3rlpy
 from imujoco_minari.loading import arrays

@@ -14,23 +14,25 @@ from imujoco_minari.envs.external_mjcf import canonical_external_mjcf
 from imujoco_minari.errors import DatasetError
 from imujoco_minari.importing.columns import layout, read_table
 from imujoco_minari.importing.physics import Physics
-from imujoco_minari.importing.transitions import Transitions, cut
+from imujoco_minari.importing.transitions import Cut, Transitions, cut
 from imujoco_minari.variants.original import OriginalVariant
 
 HOPPER, CHEETAH = "hopper-massdec_25_leggeom", "halfcheetah-jointdec_25_bfoot"
-Simulator = Callable[[str], Physics]
+Cutter = Callable[[str, Any], Cut]
 
 
 @pytest.fixture
-def physics() -> Any:
-    """Makes simulators of original variants, and closes them."""
+def cutter() -> Any:
+    """Cuts a table, or transitions, as those of an original variant, whose simulator it closes."""
     made: list[Physics] = []
 
-    def make(name: str) -> Physics:
+    def make(name: str, rows: Any) -> Cut:
         variant = OriginalVariant.parse(name)
         text = canonical_external_mjcf(original_archive.gym_xml(name), variant.robot, name)
         made.append(Physics(environment_spec(variant, text)))
-        return made[-1]
+        if not isinstance(rows, Transitions):
+            rows, _, _ = read_table(rows, variant.robot, "t")
+        return cut(rows, made[-1])
 
     yield make
     for each in made:
@@ -138,14 +140,10 @@ def test_layouts_print_what_they_were_read_from() -> None:
     assert layout(text, "hopper").width == 11 + 3 + 2 + 1 + 1 + 1
 
 
-def test_the_final_observation_is_simulated_where_the_table_has_none(physics: Simulator) -> None:
+def test_the_final_observation_is_simulated_where_the_table_has_none(cutter: Cutter) -> None:
     whole = original_archive.table(HOPPER, 3, ("reward", "next_observation", "done"))
-    simulator = physics(HOPPER)
-    transitions, _, _ = read_table(whole, "hopper", "t")
-    expected = list(cut(transitions, simulator).episodes())
-    bare = np.delete(whole, np.s_[15:26], axis=1)
-    transitions, _, _ = read_table(bare, "hopper", "t")
-    found = cut(transitions, simulator)
+    expected = cutter(HOPPER, whole).episodes()
+    found = cutter(HOPPER, np.delete(whole, np.s_[15:26], axis=1))
     assert found.simulate_final
     for mine, theirs in zip(found.episodes(), expected, strict=True):
         np.testing.assert_allclose(mine.observations, theirs.observations, rtol=0, atol=1e-9)
@@ -155,48 +153,40 @@ def test_the_final_observation_is_simulated_where_the_table_has_none(physics: Si
         assert not mine.terminations[:-1].any()
 
 
-def test_a_next_observation_that_is_the_next_reset_is_not_taken(physics: Simulator) -> None:
+def test_a_next_observation_that_is_the_next_reset_is_not_taken(cutter: Cutter) -> None:
     table = original_archive.table(HOPPER, 4, ("reward", "next_observation", "done"))
     ends = np.flatnonzero(table[:, -1])[:-1]
     table[ends, 15:26] = table[ends + 1, :11]
-    simulator = physics(HOPPER)
-    transitions, _, _ = read_table(table, "hopper", "t")
-    found = cut(transitions, simulator)
+    found = cutter(HOPPER, table)
     assert found.simulate_final
     first = next(found.episodes())
     assert not np.allclose(first.observations[-1], table[ends[0] + 1, :11], atol=0.05)
 
 
-def test_missing_rewards_are_simulated(physics: Simulator) -> None:
+def test_missing_rewards_are_simulated(cutter: Cutter) -> None:
     table = original_archive.table(CHEETAH, 1, ("reward", "done"))[:200]
-    simulator = physics(CHEETAH)
-    transitions, _, _ = read_table(np.delete(table, 23, axis=1), "halfcheetah", "t")
-    found = cut(transitions, simulator)
+    found = cutter(CHEETAH, np.delete(table, 23, axis=1))
     (episode,) = found.episodes()
     np.testing.assert_allclose(episode.rewards, table[:, 23], atol=1e-9)
     assert any("no rewards" in note for note in found.notes)
 
 
-def test_episodes_that_only_the_time_limit_ends_are_found(physics: Simulator) -> None:
+def test_episodes_that_only_the_time_limit_ends_are_found(cutter: Cutter) -> None:
     table = original_archive.table(CHEETAH, 2)
     table[:, -1] = 0
-    simulator = physics(CHEETAH)
-    transitions, _, _ = read_table(table, "halfcheetah", "t")
-    found = cut(transitions, simulator)
+    found = cutter(CHEETAH, table)
     assert found.bounds == ((0, 1000), (1000, 2000))
     first = next(found.episodes())
     assert first.truncations[-1]
     assert not first.terminations.any()
 
 
-def test_a_reset_that_no_flag_announces_is_found(physics: Simulator) -> None:
+def test_a_reset_that_no_flag_announces_is_found(cutter: Cutter) -> None:
     table = original_archive.table(HOPPER, 4)
     ends = np.flatnonzero(table[:, -1])
     # As in a loop of so many steps, which begins anew with no flag.
     table = np.delete(table, ends[1], axis=0)
-    simulator = physics(HOPPER)
-    transitions, _, _ = read_table(table, "hopper", "t")
-    found = cut(transitions, simulator)
+    found = cutter(HOPPER, table)
     assert [stop - start for start, stop in found.bounds] == [
         ends[0] + 1,
         ends[1] - ends[0] - 1,
@@ -208,22 +198,20 @@ def test_a_reset_that_no_flag_announces_is_found(physics: Simulator) -> None:
     assert ended == [(True, False), (False, True), (True, False), (True, False)]
 
 
-def test_flags_that_the_source_tells_apart_are_kept(physics: Simulator) -> None:
+def test_flags_that_the_source_tells_apart_are_kept(cutter: Cutter) -> None:
     table = original_archive.table(HOPPER, 2)
     rows, _, _ = read_table(table, "hopper", "t")
     cuts = Transitions(
         rows.observations, rows.actions, rows.ends, np.zeros(len(table), bool), rows.ends, rows.rewards
     )
-    simulator = physics(HOPPER)
-    for episode in cut(cuts, simulator).episodes():
+    for episode in cutter(HOPPER, cuts).episodes():
         assert not episode.terminations.any()
         assert episode.truncations[-1]
 
 
-def test_steps_of_another_variant_are_farther_from_its_simulation(physics: Simulator) -> None:
-    transitions, _, _ = read_table(original_archive.table(HOPPER, 5), "hopper", "t")
-    own, other = physics(HOPPER), physics("hopper-massinc_200_torsogeom")
-    near, far = (cut(transitions, each).fidelity() for each in (own, other))
+def test_steps_of_another_variant_are_farther_from_its_simulation(cutter: Cutter) -> None:
+    table = original_archive.table(HOPPER, 5)
+    near, far = (cutter(name, table).fidelity() for name in (HOPPER, "hopper-massinc_200_torsogeom"))
     assert near.rows == far.rows > 20
     assert near.position_max is not None
     assert far.position_median is not None
