@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
-from itertools import chain
+from itertools import chain, groupby
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from imujoco_minari.cli.app import advancing, app
+from imujoco_minari.cli.app import FAILED, advancing, app
 from imujoco_minari.cli.estimates import plan, publishing_line, time_text
 from imujoco_minari.cli.options import AsJson, DryRun, Jobs, Output, Tiers, argument, option
-from imujoco_minari.cli.printing import counted, out, print_json, print_table, progress, say
+from imujoco_minari.cli.printing import counted, out, print_json, print_table, progress, report, say
 from imujoco_minari.errors import BenchmarkError
 from imujoco_minari.variants import EXPERT, ROBOTS, held_out, parse_dataset_id
 
@@ -239,7 +240,7 @@ def page(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = Fals
     parts = sections(results, scores)
     target = output or Path("docs")
     files: list[Path] = []
-    for figure in (figure for part in parts for figure in part.figures):
+    for figure in chain.from_iterable(part.figures for part in parts):
         labels = (figure.title, figure.x_label, figure.y_label)
         stem = target / "results-figures" / figure.name
         files += plot_scores(figure.panels, figure.ticks, labels, stem, figure.reference)
@@ -249,20 +250,32 @@ def page(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = Fals
     write_text(target / "results.csv", to_csv(chain(*scores)))
     files += [target / "results.md", target / "results.csv"]
     _say_changed(results.all())
-    if as_json:
-        print_json({"files": [str(file) for file in files]})
-        return
-    out.print(f"wrote {counted(len(files), 'file')} to {target}")
+    report({"files": files}, f"wrote {counted(len(files), 'file')} to {target}", as_json=as_json)
+
+
+@benchmark.command()
+def check(folder: Folder, as_json: AsJson = False) -> None:
+    """Check whether the results of your method can stand beside the published ones.
+
+    The lines must have every variant, seed and budget of each split that they name, be of the published data,
+    protocol and versions, and state the method's settings. The command prints what is missing or wrong, one
+    line each. The exit status is then 1.
+
+    Example: `imujoco benchmark check docs/results/others/nearest-neighbour`
+    """
+    from imujoco_minari.benchmark.submissions import check_submission
+
+    faults = check_submission(folder)
+    lines = faults or [f"{folder}: whole, and of the published data, protocol and versions"]
+    report({"whole": not faults, "faults": faults}, *lines, as_json=as_json)
+    if faults:
+        raise typer.Exit(FAILED)
 
 
 def _say_cost(
     grid: FewShotGrid | OfflineGrid, recipes: Sequence[Recipe], jobs: int, *, dry_run: bool, as_json: bool
 ) -> None:
-    """Say how many cells a grid has, how long they take, and which datasets are to be published first.
-
-    Raises:
-        typer.Exit: if it is a dry run.
-    """
+    """Say what a grid will compute, and which datasets are to be published first. Exit if it is a dry run."""
     cells, seconds = grid.cells(), grid.seconds() / jobs
     missing = [each for each in map(plan, recipes) if each.action != "leave alone"]
     if dry_run and as_json:
@@ -293,12 +306,7 @@ def _recipes(dataset_ids: Sequence[str]) -> list[Recipe]:
 
 
 def _publish(recipes: Sequence[Recipe], jobs: int, *, trains: bool = True, quiet: bool) -> None:
-    """Publish the datasets that the Minari root lacks.
-
-    Raises:
-        DependencyError: if networks will be trained, and a package for that is not installed.
-        BenchmarkError: if the root has a dataset of another recipe with the same id, or one cannot be made.
-    """
+    """Publish the datasets that the Minari root lacks. Before that, check that networks can be trained."""
     from imujoco_minari.benchmark.networks import import_optax
     from imujoco_minari.publishing.publisher import publish_all
 
@@ -314,8 +322,8 @@ def _show(scores: Sequence[MethodScore], as_json: bool = False) -> None:
     if as_json:
         print_json(list(map(vars, scores)))
         return
-    for group, tier, category in sorted({(s.group, s.tier, s.category) for s in scores}):
-        own = [s for s in scores if (s.group, s.tier, s.category) == (group, tier, category)]
+    key = attrgetter("group", "tier", "category")
+    for (group, tier, category), own in groupby(sorted(scores, key=key), key):
         out.print(f"{group}, {tier}, {category} variants")
         print_table(_COLUMNS, [_row(score) for score in own], numeric=_COLUMNS[1:2] + _COLUMNS[3:])
         out.print("")

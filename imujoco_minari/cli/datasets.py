@@ -8,10 +8,11 @@ from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich import filesize
 
 from imujoco_minari.cli import options
 from imujoco_minari.cli.app import advancing, app, exit_code, gather
-from imujoco_minari.cli.estimates import cost, plan, publishing_line, size_text
+from imujoco_minari.cli.estimates import cost, plan, publishing_line
 from imujoco_minari.cli.options import option, spread
 from imujoco_minari.cli.printing import (
     counted,
@@ -305,4 +306,4 @@ def _ask(ids: list[str]) -> None:
 
 
 def _describe_deleted(outcome: Deleted) -> tuple[str, ...]:
-    return "deleted", f"{outcome.dataset_id}: {size_text(outcome.bytes)}"
+    return "deleted", f"{outcome.dataset_id}: {filesize.decimal(outcome.bytes)}"
