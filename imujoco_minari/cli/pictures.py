@@ -53,7 +53,7 @@ def render(
     """
     from imujoco_minari.pictures.rendering import frame_steps, render_motions
     from imujoco_minari.pictures.rendering.files import check_format
-    from imujoco_minari.pictures.rendering.source import of_dataset, of_variant
+    from imujoco_minari.pictures.rendering.motion import of_dataset, of_variant
 
     width, height = _size(size)
     if target is None:

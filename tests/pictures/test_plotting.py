@@ -20,16 +20,17 @@ from imujoco_minari.errors import DatasetError, DependencyError
 from imujoco_minari.pictures.plotting.datasets import (
     FIGURES,
     Series,
+    action_labels,
     draw_actions,
     draw_lengths,
     draw_observations,
     draw_returns,
     labels,
     load_series,
+    observation_labels,
     plot_datasets,
     with_bases,
 )
-from imujoco_minari.pictures.plotting.quantities import action_labels, observation_labels
 from imujoco_minari.pictures.plotting.scores import plot_scores
 from imujoco_minari.pictures.plotting.style import COLOURS, line_style, save
 from imujoco_minari.pictures.plotting.transfer import draw_transfer, plot_transfer

@@ -30,6 +30,7 @@ from imujoco_minari.errors import (
     VariantError,
 )
 from imujoco_minari.pictures import rendering
+from imujoco_minari.pictures.gallery.clips import stance
 from imujoco_minari.pictures.rendering import film, frame_steps, render_motions
 from imujoco_minari.pictures.rendering.files import write_picture, write_video
 from imujoco_minari.pictures.rendering.film import (
@@ -49,10 +50,8 @@ from imujoco_minari.pictures.rendering.framing import (
     capsules,
     follow,
 )
-from imujoco_minari.pictures.rendering.motion import Motion, perform, replay
-from imujoco_minari.pictures.rendering.portraits import stance
+from imujoco_minari.pictures.rendering.motion import Motion, of_dataset, of_variant, perform, replay
 from imujoco_minari.pictures.rendering.scene import COLOURS, NEAR, scene_model
-from imujoco_minari.pictures.rendering.source import of_dataset, of_variant
 from imujoco_minari.policies import RandomPolicy
 from imujoco_minari.variants import ROBOTS, Variant, bases, catalogue, specification
 

@@ -12,21 +12,21 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 from PIL import Image
 
-from imujoco_minari.envs.mjcf import canonical_mjcf, compile_mjcf, mjcf_sha256
+from imujoco_minari.envs.mjcf import Floats, canonical_mjcf, compile_mjcf, mjcf_sha256
 from imujoco_minari.errors import PolicyNotFoundError
 from imujoco_minari.pictures.gallery.entries import Clip
 from imujoco_minari.pictures.rendering.files import write_picture, write_video
 from imujoco_minari.pictures.rendering.film import frames, stride
 from imujoco_minari.pictures.rendering.framing import Capsules, capsules, follow
 from imujoco_minari.pictures.rendering.motion import Motion, perform
-from imujoco_minari.pictures.rendering.portraits import stance
 from imujoco_minari.pictures.rendering.studio import Studio
 from imujoco_minari.policies import Policy, load_policy
 from imujoco_minari.policies.tiers import RANDOM
-from imujoco_minari.variants import EXPERT, Variant, catalogue
+from imujoco_minari.variants import EXPERT, Variant, catalogue, specification
 
 SIZE = (320, 240)
 SECONDS, FRAMES_PER_SECOND, QUALITY = 4.0, 20.0, 30
@@ -80,6 +80,35 @@ def write_portrait(variant: Variant, studio: Studio, path: Path) -> None:
     camera = follow(seen, studio.aspect, 1.0)[0]
     shot = next(studio.shoot(variant, [stance(variant)], camera))
     write_picture(path, Image.fromarray(np.ascontiguousarray(shot)))
+
+
+def stance(variant: Variant) -> Floats:
+    """Return the positions (nq,) of a variant in its robot's stance, with its lowest point on the floor.
+
+    Angles are clipped to the ranges of the variant's joints.
+    """
+    model = compile_mjcf(canonical_mjcf(variant))
+    data, page = mujoco.MjData(model), specification(variant.robot)
+    for name, degrees in page.stance.items():
+        joint, angle = model.joint(name), np.radians(degrees)
+        data.qpos[joint.qposadr[0]] = np.clip(angle, *joint.range) if model.jnt_limited[joint.id] else angle
+    position = np.array(data.qpos)
+    seen = capsules(model, position[None])
+    lowest = (seen.ends[0, :, 2] - seen.radii).min()
+    height = _height_index(model)
+    if height is not None:
+        position[height] -= lowest
+    return position
+
+
+def _height_index(model: mujoco.MjModel) -> int | None:
+    """Return the index of the root's height in the positions; None for a robot that moves on a level."""
+    for joint in range(model.body_jntadr[1], model.body_jntadr[1] + model.body_jntnum[1]):
+        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
+            return int(model.jnt_qposadr[joint]) + 2
+        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE and model.jnt_axis[joint][2] == 1.0:
+            return int(model.jnt_qposadr[joint])
+    return None
 
 
 @cache

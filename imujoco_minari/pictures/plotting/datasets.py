@@ -11,11 +11,12 @@ from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import mujoco
 import numpy as np
 
+from imujoco_minari.envs.mjcf import canonical_mjcf, compile_mjcf
 from imujoco_minari.errors import DatasetError
 from imujoco_minari.loading import Arrays, arrays
-from imujoco_minari.pictures.plotting.quantities import action_labels, observation_labels
 from imujoco_minari.pictures.plotting.style import BASE_EDGE, BASE_FILL, line_style, new_figure, save
 from imujoco_minari.policies import Array
 from imujoco_minari.storage import minari_root
@@ -151,6 +152,26 @@ FIGURES: dict[str, Callable[[Sequence[Series]], Figure]] = {
     "actions": draw_actions,
     "observations": draw_observations,
 }
+
+
+def observation_labels(robot: str) -> list[str]:
+    """Return the labels of an observation: positions without the travelled distance, then velocities."""
+    model = compile_mjcf(canonical_mjcf(Variant(robot)))
+    positions, velocities = [], []
+    for number, kind in enumerate(model.jnt_type):
+        what, unit = ("angle", "rad") if kind == mujoco.mjtJoint.mjJNT_HINGE else ("position", "m")
+        name = model.joint(number).name
+        positions.append(f"{what} of {name} ({unit})")
+        velocities.append(f"velocity of {name} ({unit}/s)")
+    return positions[1:] + velocities
+
+
+def action_labels(robot: str) -> list[str]:
+    """Return the labels of an action: torques as shares of the motor's gear."""
+    model = compile_mjcf(canonical_mjcf(Variant(robot)))
+    joints = [model.joint(number).name for number, _ in model.actuator_trnid]
+    gears = [gear for gear, *_ in model.actuator_gear]
+    return [f"action on {name} (1 = {gear:g} N m)" for name, gear in zip(joints, gears, strict=True)]
 
 
 def _line_styles(series: Sequence[Series]) -> list[dict[str, Any]]:
