@@ -14,7 +14,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageDraw
 
 from imujoco_minari import combine_datasets, publish
 from imujoco_minari.cli.app import run
@@ -31,11 +31,12 @@ from imujoco_minari.errors import (
 )
 from imujoco_minari.pictures import rendering
 from imujoco_minari.pictures.gallery.clips import stance
-from imujoco_minari.pictures.rendering import film, frame_steps, render_motions
+from imujoco_minari.pictures.rendering import frame_steps, render_motions
 from imujoco_minari.pictures.rendering.files import write_picture, write_video
 from imujoco_minari.pictures.rendering.film import (
     caption_height,
-    change,
+    captioned,
+    changes_in_words,
     contact_sheet,
     grid,
     sheet_steps,
@@ -309,20 +310,28 @@ def test_the_colours_differ_from_each_other_and_from_the_robot() -> None:
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("hopper-base", "the unchanged robot"),
-        ("hopper-massdec_25_leggeom", "mass of leg_geom -25 %"),
-        ("hopper-jointdec_50_legjoint", "range of leg_joint -50 %"),
-        ("walker2d-frictioninc_50_feet", "friction of foot_geom, foot_left_geom +50 %"),
+        ("hopper-base", "unchanged"),
+        ("hopper-massdec_25_leggeom", "mass of leggeom -25 %"),
+        ("hopper-jointdec_50_legjoint", "range of legjoint -50 %"),
+        ("walker2d-frictioninc_50_feet", "friction of feet +50 %"),
     ],
 )
 def test_the_caption_says_what_changes(name: str, words: str) -> None:
-    assert change(Variant.parse(name)) == words
+    assert changes_in_words(Variant.parse(name)) == words
 
 
-def test_a_caption_that_has_no_room_does_not_grow() -> None:
+@pytest.mark.parametrize(
+    ("size", "text"),
     # A picture of 64 pixels asks for text of less than 6 pixels.
-    assert film._fitting_size("hopper-lengthinc_50_leggeom", 2.88, 5.0) == 2.88
-    assert film._fitting_size("hopper-lengthinc_50_leggeom", 30.0, 5.0) == 6.0
+    [((640, 480), [18.36, 21.6]), ((64, 64), [2.448, 2.88]), ((64, 480), [5.1, 6.0])],
+)
+def test_the_text_of_a_caption_shrinks_but_stays_readable(
+    size: tuple[int, int], text: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[float] = []
+    monkeypatch.setattr(ImageDraw.ImageDraw, "text", lambda *given, **_: drawn.append(given[4].size))
+    captioned(Image.new("RGB", size), HOPPER, "a title", "a state")
+    assert sorted(set(drawn)) == pytest.approx(text)
 
 
 # Frames

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from typing import Any
 from imujoco_minari.envs.differences import differences
 from imujoco_minari.errors import ImujocoError, RenderingError, StorageError
 from imujoco_minari.pictures.gallery import clips
-from imujoco_minari.pictures.gallery.entries import Entry, ResultTable, scores
+from imujoco_minari.pictures.gallery.entries import Clip, Entry, ResultTable, scores
 from imujoco_minari.pictures.gallery.pages import index_page, variant_page
 from imujoco_minari.pictures.rendering.files import check_format
 from imujoco_minari.pictures.rendering.studio import Studio
@@ -75,7 +75,8 @@ def build(
         for variant in order:
             known = state["variants"].setdefault(str(variant), {})
             try:
-                clip, key, new = clips.draw(variant, folder, studio, known)
+                drawn += clips.draw(variant, folder, studio, known)
+                clip = Clip(**known["clip"])
                 entry = Entry(variant, tuple(differences(variant)), scores(variant), clip)
             except (RenderingError, StorageError):
                 # These errors would stop every variant.
@@ -85,8 +86,6 @@ def build(
                 del state["variants"][str(variant)]
             else:
                 entries.append(entry)
-                drawn += new
-                known.update(key=key, clip=asdict(clip))
                 write_text(folder / STATE, json.dumps(state, indent=1) + "\n")
             if on_variant is not None:
                 on_variant()

@@ -7,7 +7,7 @@ draws only pictures with a new key. It needs no OpenGL if there are none.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -36,17 +36,17 @@ REST_SECONDS = 1.0
 STYLE = 2
 
 
-def draw(variant: Variant, folder: Path, studio: Studio, known: Mapping[str, Any]) -> tuple[Clip, str, bool]:
+def draw(variant: Variant, folder: Path, studio: Studio, known: dict[str, Any]) -> bool:
     """Draw a variant's clip and portrait into a site, unless an earlier run has drawn the same.
 
     Args:
         variant: the variant.
         folder: the site's folder.
         studio: the renderer.
-        known: ``key`` and ``clip`` of an earlier run, or empty.
+        known: ``key`` and ``clip`` of an earlier run, or empty. It is updated.
 
     Returns:
-        The content of the clip, its key, and whether it was drawn now.
+        Whether the variant was drawn now.
 
     Raises:
         RenderingError: if no OpenGL works.
@@ -57,11 +57,13 @@ def draw(variant: Variant, folder: Path, studio: Studio, known: Mapping[str, Any
     key = clip_key(variant, policy)
     clip, portrait = folder / "clips" / f"{variant}.mp4", folder / "portraits" / f"{variant}.webp"
     if known.get("key") == key and clip.is_file() and portrait.is_file():
-        return Clip(**known["clip"]), key, False
+        return False
     motion = perform(variant, policy, seconds=SECONDS)
     write_clip(motion, studio, clip)
     write_portrait(variant, studio, portrait)
-    return Clip(tier, motion.duration, motion.total, motion.terminated), key, True
+    content = Clip(tier, motion.duration, motion.total, motion.terminated)
+    known.update(key=key, clip=asdict(content))
+    return True
 
 
 def write_clip(motion: Motion, studio: Studio, path: Path) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from imujoco_minari.envs.differences import Difference
 from imujoco_minari.errors import VariantError
 from imujoco_minari.policies import expert_record, random_policy
-from imujoco_minari.policies.evaluation import evaluate
+from imujoco_minari.policies.measuring import Episodes, measure
 from imujoco_minari.policies.tiers import RANDOM
 from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.storage.metadata import read_metadata
@@ -105,14 +105,14 @@ def scores(variant: Variant) -> tuple[Score, ...]:
     record = expert_record(variant)
     found: dict[str, Score] = {}
     if "evaluation" in record:
-        found[EXPERT] = _score_from_evaluation(EXPERT, str(record["algorithm"]), record["evaluation"])
+        found[EXPERT] = _score(EXPERT, str(record["algorithm"]), record["evaluation"])
     for score in published_scores(variant):
         found.setdefault(score.tier, score)
     if "random" in record:
-        found[RANDOM] = _score_from_evaluation(RANDOM, "uniform actions", record["random"])
+        found[RANDOM] = _score(RANDOM, "uniform actions", record["random"])
     elif RANDOM not in found:
-        outcome = evaluate(variant, random_policy(variant.robot), episodes=RANDOM_EPISODES).asdict()
-        found[RANDOM] = _score_from_evaluation(RANDOM, "uniform actions", outcome, "measured for this page")
+        outcome = measure(variant, random_policy(variant.robot), RANDOM_EPISODES, 0).asdict()
+        found[RANDOM] = _score(RANDOM, "uniform actions", outcome, "measured for this page")
     return tuple(sorted(found.values(), key=lambda score: -score.return_mean))
 
 
@@ -131,9 +131,7 @@ def published_scores(variant: Variant) -> Iterator[Score]:
                 continue
 
 
-def _score_from_evaluation(
-    tier: str, algorithm: str, evaluation: Any, origin: str = "evaluation of the policy"
-) -> Score:
+def _score(tier: str, algorithm: str, evaluation: Any, origin: str = "evaluation of the policy") -> Score:
     return Score(
         tier,
         algorithm,
@@ -152,12 +150,4 @@ def _score_from_dataset(data: Path, tier: str) -> Score:
         episodes = [file.episode_attributes(number, names) for number in file.numbers()]
     # A dataset without episodes has no columns, so this raises a ValueError.
     returns, lengths = np.array([[episode[name] for name in names] for episode in episodes], float).T
-    return Score(
-        tier,
-        algorithm,
-        float(returns.mean()),
-        float(returns.std()),
-        float(lengths.mean()),
-        len(returns),
-        "the published dataset",
-    )
+    return _score(tier, algorithm, Episodes(returns, lengths, ()).asdict(), "the published dataset")
