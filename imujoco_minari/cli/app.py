@@ -207,11 +207,9 @@ def gather(
         raise typer.Exit(exit_code(missing))
 
 
-def advancing(
-    outcomes: Iterable[_Outcome], description: str, total: int, *, quiet: bool
-) -> Iterator[_Outcome]:
+def advancing(outcomes: Iterable[_Outcome], description: str, total: int) -> Iterator[_Outcome]:
     """Yield the outcomes of a batch behind a bar that each of them advances by one."""
-    with progress(description, total, quiet=quiet) as advance:
+    with progress(description, total) as advance:
         for outcome in outcomes:
             yield outcome
             advance()

@@ -106,8 +106,8 @@ def few_shot(
     recipes = _recipes(grid.dataset_ids())
     _say_cost(grid, recipes, jobs, dry_run=dry_run, as_json=as_json)
     trains = bool(set(grid.methods) & (METHODS.keys() - BOUNDS))
-    _publish(recipes, jobs, trains=trains, quiet=as_json)
-    with progress("computing", grid.cells(), quiet=as_json) as on_cells:
+    _publish(recipes, jobs, trains=trains)
+    with progress("computing", grid.cells()) as on_cells:
         lines = run_few_shot(grid, output or RESULTS, jobs=jobs, on_cells=on_cells)
     _show(few_shot_scores(lines), as_json)
 
@@ -163,8 +163,8 @@ def offline(
         across=across,
     )
     _say_cost(grid, grid.recipes(), jobs, dry_run=dry_run, as_json=as_json)
-    _publish(grid.recipes(), jobs, quiet=as_json)
-    with progress("training", grid.cells(), quiet=as_json) as on_cells:
+    _publish(grid.recipes(), jobs)
+    with progress("training", grid.cells()) as on_cells:
         lines = run_offline(grid, output or RESULTS, jobs=jobs, on_cells=on_cells)
     _show(offline_scores(lines), as_json)
 
@@ -183,8 +183,8 @@ def reproduce(seeds: Seeds = None, jobs: Jobs = 1, output: Output = None, as_jso
 
     chosen = range(seeds or reproduction.SEEDS)
     train, test = reproduction.published_split()
-    _publish(_recipes([*train, *test]), jobs, quiet=as_json)
-    with progress("training", len(chosen) * len(reproduction.METHODS), quiet=as_json) as on_cells:
+    _publish(_recipes([*train, *test]), jobs)
+    with progress("training", len(chosen) * len(reproduction.METHODS)) as on_cells:
         lines = reproduction.run_reproduction(output or RESULTS, seeds=chosen, jobs=jobs, on_cells=on_cells)
     rows = reproduction.comparison(lines)
     if as_json:
@@ -278,13 +278,12 @@ def _say_cost(
     """Say what a grid will compute, and which datasets are to be published first. Exit if it is a dry run."""
     cells, seconds = grid.cells(), grid.seconds() / jobs
     missing = [each for each in map(plan, recipes) if each.action != "leave alone"]
-    if dry_run and as_json:
-        print_json({"cells": cells, "seconds": seconds, "publish": [each.dataset_id for each in missing]})
-    else:
-        say(f"{counted(cells, 'cell')}: about {time_text(seconds)} with --jobs {jobs}")
-        if missing:
-            say(f"to publish first: {publishing_line(missing, jobs)}")
+    say(f"{counted(cells, 'cell')}: about {time_text(seconds)} with --jobs {jobs}")
+    if missing:
+        say(f"to publish first: {publishing_line(missing, jobs)}")
     if dry_run:
+        if as_json:
+            print_json({"cells": cells, "seconds": seconds, "publish": [each.dataset_id for each in missing]})
         raise typer.Exit
 
 
@@ -305,7 +304,7 @@ def _recipes(dataset_ids: Sequence[str]) -> list[Recipe]:
     return [Recipe(variant, tier) for variant, tier in named if tier in TIERS]
 
 
-def _publish(recipes: Sequence[Recipe], jobs: int, *, trains: bool = True, quiet: bool) -> None:
+def _publish(recipes: Sequence[Recipe], jobs: int, *, trains: bool = True) -> None:
     """Publish the datasets that the Minari root lacks. Before that, check that networks can be trained."""
     from imujoco_minari.benchmark.networks import import_optax
     from imujoco_minari.publishing.publisher import publish_all
@@ -313,7 +312,7 @@ def _publish(recipes: Sequence[Recipe], jobs: int, *, trains: bool = True, quiet
     if trains:
         import_optax()
     outcomes = publish_all(recipes, jobs=jobs)
-    for outcome in advancing(outcomes, "preparing datasets", len(recipes), quiet=quiet):
+    for outcome in advancing(outcomes, "preparing datasets", len(recipes)):
         if outcome.error:
             raise BenchmarkError(outcome.error)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
+from contextlib import nullcontext
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -80,28 +81,25 @@ def publish_datasets(
     ]
     if dry_run or len(recipes) > 1 or recipes[0].tier == MEDIUM_REPLAY:
         planned = [plan(recipe, force=force) for recipe in recipes]
-        if not as_json:
-            say(publishing_line(planned, jobs))
+        say(publishing_line(planned, jobs))
         if dry_run:
             gather(planned, _describe_planned, as_json=as_json)
             return
         check_space(counted(len(recipes), "dataset"), sum(each.bytes for each in planned))
-    gather(_published(recipes, jobs, backend, force, quiet=as_json), describe_published, as_json=as_json)
+    gather(_published(recipes, jobs, backend, force), describe_published, as_json=as_json)
 
 
-def _published(
-    recipes: list[Recipe], jobs: int, backend: str | None, force: bool, *, quiet: bool
-) -> Iterator[Published]:
+def _published(recipes: list[Recipe], jobs: int, backend: str | None, force: bool) -> Iterator[Published]:
     """Publish each recipe and yield its outcome, behind a bar of datasets; for one dataset, of episodes."""
     from imujoco_minari.publishing.outcome import Published
     from imujoco_minari.publishing.publisher import publish_all, publish_recipe
 
     if len(recipes) > 1 or backend is not None:
         outcomes = publish_all(recipes, jobs=jobs, force=force, backend=backend)
-        yield from advancing(outcomes, "publishing", len(recipes), quiet=quiet)
+        yield from advancing(outcomes, "publishing", len(recipes))
         return
     total = None if recipes[0].tier == MEDIUM_REPLAY else recipes[0].episodes
-    with progress(str(recipes[0].variant), total, quiet=quiet) as advance:
+    with progress(str(recipes[0].variant), total) as advance:
         try:
             outcome = publish_recipe(recipes[0], jobs=jobs, force=force, on_episode=advance)
         except ImujocoError as error:
@@ -227,7 +225,8 @@ def verify_datasets(
     errors: list[ImujocoError] = []
     for dataset_id in chosen:
         try:
-            with progress(dataset_id, _episodes(dataset_id), quiet=as_json or not replay) as advance:
+            bar = progress(dataset_id, _episodes(dataset_id)) if replay else nullcontext(None)
+            with bar as advance:
                 results[dataset_id] = check(dataset_id, on_episode=advance)
         except ImujocoError as error:
             errors.append(error)

@@ -59,14 +59,13 @@ def export_datasets(
     target = output or default_target(chosen[0], format, states_only=states_only)
     if dry_run or len(chosen) > 1:
         planned = plan_export(chosen, archive=format == ARCHIVE)
-        if dry_run and as_json:
-            print_json(planned)
-        else:
-            say(export_line(planned))
+        say(export_line(planned))
         if dry_run:
+            if as_json:
+                print_json(planned)
             return
     if format == ARCHIVE:
-        with progress("exporting", len(chosen), quiet=as_json) as advance:
+        with progress("exporting", len(chosen)) as advance:
             exported = export_archive(chosen, target, force=force, on_dataset=advance)
     else:
         data = arrays(chosen, portion=portion, seed=seed)

@@ -54,7 +54,7 @@ def import_archive_command(
     if archive.ignored:
         shown = ", ".join(archive.ignored[:5])
         say(f"left out {counted(len(archive.ignored), 'file')} not named after a variant: {shown}")
-    outcomes = advancing(import_archive(archive, chosen, how), "importing", len(chosen), quiet=as_json)
+    outcomes = advancing(import_archive(archive, chosen, how), "importing", len(chosen))
     gather(outcomes, describe_published, as_json=as_json)
 
 

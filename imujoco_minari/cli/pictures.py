@@ -79,7 +79,7 @@ def render(
                 "another version of MuJoCo made it (see `imujoco verify`)"
             )
     count = len(frame_steps(motions, target, sheet=sheet))
-    with progress(str(target), count, quiet=as_json) as advance:
+    with progress(str(target), count) as advance:
         render_motions(motions, target, (width, height), sheet=sheet, on_frame=advance)
     facts: list[dict[str, Any]] = [
         {
@@ -128,7 +128,7 @@ def plot(
 
     folder = output or Path("plots")
     names = list(dict.fromkeys(ids))
-    with progress("plotting", len(names) + len(FIGURES), quiet=as_json) as advance:
+    with progress("plotting", len(names) + len(FIGURES)) as advance:
         series = []
         for name in names:
             series.append(load_series(name))
@@ -177,7 +177,7 @@ def transfer(
         pass
     target = output or Path(f"transfer-{robot}")
     state = target / "transfer.json"
-    with progress("evaluating", len(chosen) * len(variants), quiet=as_json) as advance:
+    with progress("evaluating", len(chosen) * len(variants)) as advance:
         result = evaluate_transfer(
             chosen, variants, state, episodes=episodes, seed=seed, jobs=jobs, on_cell=advance
         )
@@ -241,9 +241,9 @@ def gallery(
     everything = not (variants or robot or category)
     chosen = VariantChoice(robot, category, everything, names=variants).variants()
     count = steps(folder, chosen)
-    if not as_json and len(chosen) > 1:
+    if len(chosen) > 1:
         say(gallery_line(count))
-    with progress("drawing", count, quiet=as_json) as advance:
+    with progress("drawing", count) as advance:
         built = build(folder, chosen, results=tables, on_variant=advance)
     size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
     result = {

@@ -132,7 +132,7 @@ def counted(count: int, noun: str) -> str:
 
 
 @contextmanager
-def progress(description: str, total: int | None, *, quiet: bool = False) -> Iterator[Callable[..., None]]:
+def progress(description: str, total: int | None) -> Iterator[Callable[..., None]]:
     """Show a bar with an estimate on the error stream, and yield the function that advances it.
 
     The function advances the bar by one, or by the number that it is given. A total of None is unknown: the
@@ -147,7 +147,7 @@ def progress(description: str, total: int | None, *, quiet: bool = False) -> Ite
         TimeRemainingColumn(),
     )
     console = err.console
-    disable = quiet or not console.is_terminal
+    disable = not console.is_terminal
     with Progress(*columns, console=console, disable=disable, speed_estimate_period=ESTIMATE_SECONDS) as bar:
         bar.add_task(printable(description), total=total)
         [task] = bar.tasks
@@ -156,7 +156,7 @@ def progress(description: str, total: int | None, *, quiet: bool = False) -> Ite
         def advance(count: int = 1) -> None:
             nonlocal written
             bar.advance(task.id, count)
-            if disable and not quiet and time.monotonic() - written >= LINE_SECONDS:
+            if disable and time.monotonic() - written >= LINE_SECONDS:
                 written = time.monotonic()
                 left = task.time_remaining
                 estimate = "" if left is None else f", {timedelta(seconds=round(left))} left"

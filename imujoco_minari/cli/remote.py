@@ -53,10 +53,8 @@ def push_datasets(
         if remote is not None:
             parse_address(remote)
         planned = list(plan_push(chosen))
-        if not as_json:
-            say(
-                f"{counted(len(planned), 'dataset')}: {filesize.decimal(sum(each.bytes for each in planned))}"
-            )
+        size = filesize.decimal(sum(each.bytes for each in planned))
+        say(f"{counted(len(planned), 'dataset')}: {size}")
         gather(
             planned,
             lambda each: ("would push", f"{each.dataset_id}: {filesize.decimal(each.bytes)}"),
@@ -65,7 +63,7 @@ def push_datasets(
         return
     address = _address(remote)
     outcomes = push_all(chosen, address, token=token, force=force)
-    shown = advancing(outcomes, f"pushing to {address}", len(chosen), quiet=as_json)
+    shown = advancing(outcomes, f"pushing to {address}", len(chosen))
     gather(shown, _describe_push, as_json=as_json)
 
 
@@ -93,7 +91,7 @@ def pull_datasets(
     chosen = choice.datasets(published=False)
     address = _address(remote)
     outcomes = pull_all(chosen, address, token=token, force=force)
-    shown = advancing(outcomes, f"pulling from {address}", len(chosen), quiet=as_json)
+    shown = advancing(outcomes, f"pulling from {address}", len(chosen))
     gather(shown, _describe_pull, as_json=as_json)
 
 
