@@ -85,20 +85,17 @@ def _open_closed_streams() -> None:
 
 
 def _name_glfw_library() -> None:
-    """Name the library that the package glfw contains, unless the user names one.
+    """Name the library that the package glfw contains, unless the user names one. It opens no window here.
 
     MuJoCo and Gymnasium import glfw. Without a name, glfw starts a Python process for every library that
     it finds, to ask for its version. That takes 0.2 s, and a Ctrl-C in that time makes the process print
     a traceback.
     """
     package = find_spec("glfw")
-    if package is None or package.origin is None or os.environ.get("PYGLFW_LIBRARY"):
-        return
-    window_system = os.environ.get("PYGLFW_LIBRARY_VARIANT") or os.environ.get("XDG_SESSION_TYPE", "")
-    folder = "wayland" if window_system.lower() == "wayland" else "x11"
-    library = Path(package.origin).parent / folder / "libglfw.so"
-    if library.is_file():
-        os.environ["PYGLFW_LIBRARY"] = str(library)
+    if package is not None and package.origin is not None:
+        library = Path(package.origin).parent / "x11" / "libglfw.so"
+        if library.is_file():
+            os.environ.setdefault("PYGLFW_LIBRARY", str(library))
 
 
 def run(arguments: Sequence[str]) -> int:

@@ -43,13 +43,9 @@ Seeds = Annotated[int | None, option("--seeds N", "Number of seeds. [default: th
 def few_shot(
     splits: Annotated[list[str] | None, option("--split NAME", "A split; may be repeated.")] = None,
     methods: Methods = None,
-    variants: Annotated[
-        list[str] | None, option("--held-out VARIANT", "A held-out variant; may be repeated.")
-    ] = None,
+    variants: Annotated[list[str] | None, option("--held-out VARIANT", "A variant; may be repeated.")] = None,
     tiers: Tiers = None,
-    budgets: Annotated[
-        list[str] | None, option("--budget NAME", "Windows and their steps, as in 5x100 or 1xall.")
-    ] = None,
+    budgets: Annotated[list[str] | None, option("--budget NAME", "Windows and steps, as in 5x100.")] = None,
     seeds: Seeds = None,
     settings: Annotated[
         list[str] | None, option("--setting NAME=VALUE", "A setting of the methods; may be repeated.")
@@ -58,9 +54,7 @@ def few_shot(
         str | None,
         option("--demonstrations TIER", "Another tier of the demonstrations, as of other experts."),
     ] = None,
-    validation: Annotated[
-        bool, option("--validation", "Hold out every fifth training variant instead.")
-    ] = False,
+    validation: Annotated[bool, option("--validation", "Hold out every fifth training variant.")] = False,
     jobs: Jobs = 1,
     output: Output = None,
     dry_run: DryRun = False,
@@ -122,9 +116,7 @@ def offline(
     jobs: Jobs = 1,
     output: Output = None,
     dry_run: DryRun = False,
-    across: Annotated[
-        bool, option("--across", "Learn from all training variants of the random splits.")
-    ] = False,
+    across: Annotated[bool, option("--across", "Learn from all training variants of a split.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Run offline reinforcement learning on the bases' datasets, or across variants.

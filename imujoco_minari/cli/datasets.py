@@ -48,9 +48,7 @@ def publish_datasets(
     episodes: options.EpisodeCount = 100,
     seed: options.Seed = 0,
     policy: options.PolicyFile = None,
-    stochastic: Annotated[
-        bool, option("--stochastic", "Sample actions instead of taking their mode.")
-    ] = False,
+    stochastic: Annotated[bool, option("--stochastic", "Sample actions, do not take their mode.")] = False,
     jobs: options.Jobs = 1,
     backend: options.Backend = None,
     force: options.Force = False,
@@ -136,9 +134,7 @@ def combine(
     category: options.Category = None,
     with_base: options.WithBase = False,
     tier: options.Tier = EXPERT,
-    partial: Annotated[
-        bool, option("--partial", "Leave out variants that are not published. Needs --id.")
-    ] = False,
+    partial: Annotated[bool, option("--partial", "Leave out what is not published. Needs --id.")] = False,
     link: Annotated[bool, option("--link", "Refer to the episodes instead of copying them.")] = False,
     force: options.Force = False,
     as_json: options.AsJson = False,
@@ -195,9 +191,7 @@ def combine(
 def verify_datasets(
     choice: DatasetChoice,
     replay: Annotated[bool, typer.Option(help="Replay every episode from its seed and actions.")] = True,
-    published: Annotated[
-        bool, option("--published", "Compare with the digest that this version lists.")
-    ] = False,
+    published: Annotated[bool, option("--published", "Compare with the digest of this version.")] = False,
     jobs: options.Jobs = 1,
     backend: options.Backend = None,
     as_json: options.AsJson = False,

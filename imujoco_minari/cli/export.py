@@ -81,9 +81,7 @@ def preferences(
     output: options.Output = None,
     pairs: Annotated[int, option("--pairs -n N", "Number of pairs.", min=1)] = 1000,
     length: Annotated[int, option("--length -l N", "Steps of a segment.", min=1)] = 50,
-    tiers: Annotated[
-        str | None, option("--tiers TIERS", "Tiers from best to worst, as expert,medium,random.")
-    ] = None,
+    tiers: Annotated[str | None, option("--tiers TIERS", "Tiers, best first: expert,medium,random.")] = None,
     seed: options.Seed = 0,
     force: options.Force = False,
     as_json: options.AsJson = False,

@@ -25,15 +25,11 @@ if TYPE_CHECKING:
 @app.command()
 def render(
     what: Annotated[str, argument("VARIANT|ID", "A variant id, or a dataset id.")],
-    episode: Annotated[
-        int, option("--episode -e N", "The episode of a dataset; the seed of a variant.", min=0)
-    ] = 0,
+    episode: Annotated[int, option("--episode -e N", "A dataset's episode, or a variant's seed.", min=0)] = 0,
     target: options.Output = None,
     beside_base: Annotated[bool, option("--beside-base", "Show the base robot beside the variant.")] = False,
     sheet: Annotated[bool, option("--sheet", "Make a .png sheet of frames.")] = False,
-    tier: Annotated[
-        str | None, option("--tier -t TIER", "The policy that moves a variant. [default: expert]")
-    ] = None,
+    tier: Annotated[str | None, option("--tier -t TIER", "A variant's policy. [default: expert]")] = None,
     policy: options.PolicyFile = None,
     seconds: Annotated[
         float | None, option("--seconds X", "Show this much of the episode instead of all.", min=0.1)
@@ -217,9 +213,7 @@ def gallery(
     variants: options.VariantIds = None,
     robot: options.Robot = None,
     category: options.Category = None,
-    results: Annotated[
-        Path | None, option("--results FOLDER", "Show the few-shot scores of this folder's results.")
-    ] = None,
+    results: Annotated[Path | None, option("--results FOLDER", "Show the few-shot scores in FOLDER.")] = None,
     as_json: options.AsJson = False,
 ) -> None:
     """Build a static website of the variants.

@@ -39,9 +39,7 @@ app.add_typer(policy, name="policy")
 @spread
 def train_variants(
     choice: VariantChoice,
-    universal: Annotated[
-        bool, option("--universal", "Train the universal policy of the robot in --robot instead.")
-    ] = False,
+    universal: Annotated[bool, option("--universal", "Train the universal policy of --robot.")] = False,
     scratch: Annotated[bool, option("--scratch", "Do not start from another agent.")] = False,
     max_steps: Annotated[int | None, option("--max-steps N", "Environment steps at most.", min=1)] = None,
     target: Annotated[
@@ -55,18 +53,11 @@ def train_variants(
     jobs: options.Jobs = 1,
     backend: options.Backend = None,
     nice: Annotated[int, option("--nice N", "Lower the priority by this much.", min=0, max=19)] = 0,
-    device: Annotated[
-        str | None,
-        option("--device NAME", "Where to compute updates: cpu or gpu; by default, the faster one."),
-    ] = None,
+    device: Annotated[str | None, option("--device NAME", "cpu or gpu. [default: the faster one]")] = None,
     state: Annotated[Path | None, option("--state FOLDER", "Folder of unfinished runs.")] = None,
     output: Output = None,
-    improve: Annotated[
-        bool, typer.Option("--improve", help="Train finished policies further, and keep the better ones.")
-    ] = False,
-    record_replay: Annotated[
-        bool, typer.Option("--record-replay", help="Publish the run's transitions as the tier replay.")
-    ] = False,
+    improve: Annotated[bool, option("--improve", "Train finished policies on; keep the better.")] = False,
+    record_replay: Annotated[bool, option("--record-replay", "Publish the run as the tier replay.")] = False,
     as_json: options.AsJson = False,
 ) -> None:
     """Train an expert for each variant.
@@ -246,9 +237,7 @@ def policies(
     robot: options.Robot = None,
     category: options.Category = None,
     with_base: options.WithBase = False,
-    summary: Annotated[
-        bool, option("--summary", "Print a line for each robot and category instead.")
-    ] = False,
+    summary: Annotated[bool, option("--summary", "Print a line for each robot and category.")] = False,
     as_json: options.AsJson = False,
 ) -> None:
     """List the experts and their returns.

@@ -37,21 +37,9 @@ STYLE = 2
 
 
 def draw(variant: Variant, folder: Path, studio: Studio, known: dict[str, Any]) -> bool:
-    """Draw a variant's clip and portrait into a site, unless an earlier run has drawn the same.
+    """Draw a variant's clip and portrait into a site, and return whether it was necessary.
 
-    Args:
-        variant: the variant.
-        folder: the site's folder.
-        studio: the renderer.
-        known: ``key`` and ``clip`` of an earlier run, or empty. It is updated.
-
-    Returns:
-        Whether the variant was drawn now.
-
-    Raises:
-        RenderingError: if no OpenGL works.
-        StorageError: if a file cannot be written.
-        PolicyError: if the variant's policy cannot be read.
+    ``known`` holds ``key`` and ``clip`` of an earlier run, or nothing. It is updated.
     """
     policy, tier = choose_policy(variant)
     key = clip_key(variant, policy)

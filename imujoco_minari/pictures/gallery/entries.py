@@ -27,16 +27,9 @@ RANDOM_EPISODES = 10
 
 @dataclass(frozen=True)
 class Score:
-    """The score of one tier of a variant.
+    """The score of one tier of a variant: undiscounted returns, and the mean length in steps.
 
-    Attributes:
-        tier: name of the tier.
-        algorithm: algorithm that trained its policy.
-        return_mean: mean undiscounted return.
-        return_std: standard deviation of the return over episodes.
-        length_mean: mean length of an episode, in steps.
-        episodes: number of episodes.
-        origin: the source of the numbers, in a few words.
+    ``algorithm`` trained the policy. ``origin`` is the source of the numbers, in a few words.
     """
 
     tier: str
@@ -50,13 +43,9 @@ class Score:
 
 @dataclass(frozen=True)
 class Clip:
-    """The content of a variant's video.
+    """The content of a variant's video: the tier of the policy, the simulated seconds, and the return.
 
-    Attributes:
-        tier: tier of the policy.
-        seconds: length of the motion, in simulated seconds.
-        total: return of the motion.
-        ended: whether the episode ended because the robot left its healthy range.
+    ``ended`` is whether the episode ended because the robot left its healthy range.
     """
 
     tier: str
