@@ -21,12 +21,12 @@ import typer
 
 from imujoco_minari.cli.options import option
 from imujoco_minari.cli.printing import fail, out, print_json, progress, say, with_name
+from imujoco_minari.envs.registration import load_catalogue
 from imujoco_minari.errors import ImujocoError, ImujocoWarning
 
 # Help is plain text: Markdown and Rich's markup take `<variant>` and `[DIR]` for tags and drop them.
 app = typer.Typer(
     name="imujoco",
-    help="Publish, verify and combine Minari datasets of perturbed MuJoCo robots (iMuJoCo).",
     pretty_exceptions_enable=False,
     add_completion=False,
     rich_markup_mode=None,
@@ -163,18 +163,14 @@ def gather(
     as_json: bool,
     name: str = "dataset_id",
 ) -> None:
-    """Print the outcomes of a batch as they come and its failures at the end. Exit with their code.
+    """Print the outcomes of a batch as they come and its failures at the end. If there are any, exit.
 
     Args:
-        outcomes: dataclasses. Each has ``error``, which is empty for a success, and ``missing``: whether it
-            failed because something that was asked for does not exist.
+        outcomes: dataclasses with ``error``, which is empty for a success, and ``missing``.
         describe: returns what to print of a success: a verb, the rest of its line, and further lines. The
             last line of the batch counts the verbs.
         as_json: print one JSON document instead of lines.
         name: the attribute of an outcome that names it.
-
-    Raises:
-        typer.Exit: if one of them failed.
     """
     results: list[dict[str, Any]] = []
     verbs = Counter[str]()
@@ -220,23 +216,16 @@ def _version(show: bool) -> None:
         raise typer.Exit
 
 
-def _load_catalogue(folders: list[Path] | None) -> None:
-    from imujoco_minari import load_catalogue
-
-    for folder in folders or []:
-        load_catalogue(folder)
-
-
-_FOLDERS = "A folder with pages of your own robots, or one page; may be repeated."
-
-
 @app.callback()
 def _options(
     catalogue: Annotated[
-        list[Path] | None, option("--catalogue DIR", _FOLDERS, callback=_load_catalogue, is_eager=True)
+        list[Path] | None,
+        option("--catalogue DIR", "A folder with pages of your own robots, or one page; may be repeated."),
     ] = None,
     version: Annotated[
         bool, option("--version", "Print the version.", callback=_version, is_eager=True)
     ] = False,
 ) -> None:
     """Publish, verify and combine Minari datasets of perturbed MuJoCo robots (iMuJoCo)."""
+    for folder in catalogue or []:
+        load_catalogue(folder)

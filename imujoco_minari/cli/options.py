@@ -35,12 +35,13 @@ def argument(metavar: str, help: str) -> Any:
 def spread(command: Callable[..., None]) -> Callable[..., None]:
     """Make each parameter of a command that is a dataclass appear as options: the fields of the class."""
     signature = inspect.signature(command, eval_str=True)
-    annotations = {each.name: each.annotation for each in signature.parameters.values()}
-    groups: dict[str, Any] = {name: kind for name, kind in annotations.items() if is_dataclass(kind)}
+    groups: dict[str, Any] = {}
     shown: list[inspect.Parameter] = []
-    for each in signature.parameters.values():
-        group = groups.get(each.name)
-        own = [each] if group is None else inspect.signature(group, eval_str=True).parameters.values()
+    for name, each in signature.parameters.items():
+        own = [each]
+        if is_dataclass(each.annotation):
+            groups[name] = each.annotation
+            own = list(inspect.signature(groups[name], eval_str=True).parameters.values())
         shown += [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in own]
 
     @wraps(command)

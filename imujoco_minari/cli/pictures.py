@@ -99,11 +99,11 @@ def render(
 
 def _size(text: str) -> tuple[int, int]:
     width, _, height = text.partition("x")
-    if not (width.isdecimal() and height.isdecimal()):
-        raise RenderingError(f"malformed size {text!r}; valid: WIDTHxHEIGHT in pixels, as in 640x480")
-    if not (64 <= int(width) <= 4096 and 64 <= int(height) <= 4096):
-        raise RenderingError(f"size {text} cannot be drawn; valid: 64 to 4096 pixels each way")
-    return int(width), int(height)
+    if width.isdecimal() and height.isdecimal():
+        size = int(width), int(height)
+        if all(64 <= side <= 4096 for side in size):
+            return size
+    raise RenderingError(f"wrong size {text!r}; valid: WIDTHxHEIGHT, 64 to 4096 pixels each, as in 640x480")
 
 
 @app.command()

@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 from PIL import Image
 
-from imujoco_minari.envs.mjcf import Floats, canonical_mjcf, compile_mjcf, mjcf_sha256
+from imujoco_minari.envs.mjcf import Floats, canonical_mjcf, mjcf_sha256, variant_model
 from imujoco_minari.errors import PolicyNotFoundError
 from imujoco_minari.pictures.gallery.entries import Clip
 from imujoco_minari.pictures.rendering.files import write_picture, write_video
@@ -77,18 +77,16 @@ def stance(variant: Variant) -> Floats:
 
     Angles are clipped to the ranges of the variant's joints.
     """
-    model = compile_mjcf(canonical_mjcf(variant))
+    model = variant_model(variant)
     data, page = mujoco.MjData(model), specification(variant.robot)
     for name, degrees in page.stance.items():
         joint, angle = model.joint(name), np.radians(degrees)
         data.qpos[joint.qposadr[0]] = np.clip(angle, *joint.range) if model.jnt_limited[joint.id] else angle
-    position = np.array(data.qpos)
-    seen = capsules(model, position[None])
-    lowest = (seen.ends[0, :, 2] - seen.radii).min()
     height = _height_index(model)
     if height is not None:
-        position[height] -= lowest
-    return position
+        seen = capsules(model, data.qpos[None])
+        data.qpos[height] -= (seen.ends[0, :, 2] - seen.radii).min()
+    return np.array(data.qpos)
 
 
 def _height_index(model: mujoco.MjModel) -> int | None:
@@ -104,7 +102,7 @@ def _height_index(model: mujoco.MjModel) -> int | None:
 @cache
 def _stance_capsules(variant: Variant) -> Capsules:
     """Return the capsules of a variant in its stance."""
-    return capsules(compile_mjcf(canonical_mjcf(variant)), stance(variant)[None])
+    return capsules(variant_model(variant), stance(variant)[None])
 
 
 def choose_policy(variant: Variant) -> tuple[Policy, str]:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
-from imujoco_minari.envs.mjcf import canonical_mjcf, compile_mjcf
+from imujoco_minari.envs.mjcf import variant_model
 from imujoco_minari.errors import DatasetError
 from imujoco_minari.loading import Arrays, arrays
 from imujoco_minari.pictures.plotting.style import BASE_EDGE, BASE_FILL, line_style, new_figure, save
@@ -156,7 +156,7 @@ FIGURES: dict[str, Callable[[Sequence[Series]], Figure]] = {
 
 def observation_labels(robot: str) -> list[str]:
     """Return the labels of an observation: positions without the travelled distance, then velocities."""
-    model = compile_mjcf(canonical_mjcf(Variant(robot)))
+    model = variant_model(Variant(robot))
     positions, velocities = [], []
     for number, kind in enumerate(model.jnt_type):
         what, unit = ("angle", "rad") if kind == mujoco.mjtJoint.mjJNT_HINGE else ("position", "m")
@@ -168,7 +168,7 @@ def observation_labels(robot: str) -> list[str]:
 
 def action_labels(robot: str) -> list[str]:
     """Return the labels of an action: torques as shares of the motor's gear."""
-    model = compile_mjcf(canonical_mjcf(Variant(robot)))
+    model = variant_model(Variant(robot))
     joints = [model.joint(number).name for number, _ in model.actuator_trnid]
     gears = [gear for gear, *_ in model.actuator_gear]
     return [f"action on {name} (1 = {gear:g} N m)" for name, gear in zip(joints, gears, strict=True)]
