@@ -267,7 +267,7 @@ def test_the_camera_model_is_mujocos(opengl: str) -> None:
     with Studio(320, 240, fine=False) as studio:
         seen = capsules(studio.model(variant), motion.positions)
         (camera,) = follow([seen], studio.aspect, motion.timestep)
-        picture = next(studio.shoot(variant, motion.positions[:1], camera)).astype(float)
+        picture = np.asarray(next(studio.shoot(variant, motion.positions[:1], camera))).astype(float)
     # The foot's capsule is the last geom; its colour is orange, and nothing else is.
     rows, columns = np.nonzero(picture[:, :, 0] - picture[:, :, 2] > 60)
     ends = project(camera, seen.ends, 4 / 3)[0][[3, 7]].mean(axis=0)

@@ -14,7 +14,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from PIL import Image
 
 from imujoco_minari.envs.mjcf import Floats, canonical_mjcf, mjcf_sha256, variant_model
 from imujoco_minari.errors import PolicyNotFoundError
@@ -68,8 +67,7 @@ def write_portrait(variant: Variant, studio: Studio, path: Path) -> None:
     # The variants of other lengths are framed too, so all portraits of a robot have the same distance.
     seen = [_stance_capsules(each) for each in (variant, *catalogue(variant.robot, "length"))]
     camera = follow(seen, studio.aspect, 1.0)[0]
-    shot = next(studio.shoot(variant, [stance(variant)], camera))
-    write_picture(path, Image.fromarray(np.ascontiguousarray(shot)))
+    write_picture(path, next(studio.shoot(variant, [stance(variant)], camera)))
 
 
 def stance(variant: Variant) -> Floats:

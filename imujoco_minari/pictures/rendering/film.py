@@ -102,9 +102,8 @@ def _draw_panel(
     places = Camera(camera.lookat[shown], camera.distance)
     earned = np.concatenate([[0.0], np.cumsum(motion.rewards)])
     positions = [motion.positions[step] for step in shown]
-    shots = studio.shoot(motion.variant, positions, places, motion.mjcf)
-    for step, shot in zip(shown, shots, strict=True):
-        picture = Image.fromarray(np.ascontiguousarray(shot))
+    pictures = studio.shoot(motion.variant, positions, places, motion.mjcf)
+    for step, picture in zip(shown, pictures, strict=True):
         over = step == last and motion.terminated
         if over:
             picture = Image.blend(picture, Image.new("RGB", picture.size, PAPER), 0.35)
