@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from imujoco_minari.envs.mjcf import variant_model
-from imujoco_minari.errors import DatasetError
+from imujoco_minari.errors import DatasetError, check_one_robot
 from imujoco_minari.loading import Arrays, arrays
 from imujoco_minari.pictures.plotting.style import BASE_EDGE, BASE_FILL, line_style, new_figure, save
 from imujoco_minari.policies import Array
@@ -63,9 +63,8 @@ def load_series(dataset_id: str) -> Series:
         DatasetError: if its episodes are not all of one robot of this package, or hold NaN or infinity.
     """
     data = arrays(dataset_id, dtype=np.float32)
-    robots = sorted({origin.robot for origin in data.table})
-    if len(robots) != 1 or not robots[0]:
-        raise DatasetError(f"{dataset_id}: only episodes of one robot can be drawn, not of {robots}")
+    if not data.table[0].robot:
+        raise DatasetError(f"{dataset_id} cannot be drawn: it does not state its robot")
     for name in ("observations", "actions", "rewards"):
         if not np.isfinite(getattr(data, name)).all():
             raise DatasetError(f"{dataset_id} cannot be drawn: its {name} hold NaN or infinity")
@@ -106,11 +105,7 @@ def plot_datasets(
         DependencyError: if matplotlib is not installed.
         StorageError: if a file cannot be written.
     """
-    robots = sorted({one.robot for one in series})
-    if len(robots) != 1:
-        raise DatasetError(
-            f"plots compare datasets of one robot, not of {' and '.join(robots)}: plot each robot separately"
-        )
+    check_one_robot(((one.robot, one.dataset_id) for one in series), "a plot is of")
     files = []
     for name, draw in FIGURES.items():
         files += save(draw(series), folder / name)
