@@ -11,15 +11,8 @@ from contextlib import contextmanager
 from datetime import timedelta
 from typing import Any
 
+from rich import progress as bars
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 from rich.text import Text
 
 # An estimate is of the speed in this time, and a log gets a line after at least this time.
@@ -138,17 +131,13 @@ def progress(description: str, total: int | None) -> Iterator[Callable[..., None
     The function advances the bar by one, or by the number that it is given. A total of None is unknown: the
     bar counts, without an estimate. A log gets a line a minute instead of the bar.
     """
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )
-    console = err.console
-    disable = not console.is_terminal
-    with Progress(*columns, console=console, disable=disable, speed_estimate_period=ESTIMATE_SECONDS) as bar:
+    name = bars.TextColumn("{task.description}", markup=False)
+    columns = (name, bars.BarColumn(), bars.MofNCompleteColumn())
+    times = (bars.TimeElapsedColumn(), "left", bars.TimeRemainingColumn())
+    disable = not err.console.is_terminal
+    with bars.Progress(
+        *columns, *times, console=err.console, disable=disable, speed_estimate_period=ESTIMATE_SECONDS
+    ) as bar:
         bar.add_task(printable(description), total=total)
         [task] = bar.tasks
         written = time.monotonic()

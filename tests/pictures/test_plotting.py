@@ -115,9 +115,7 @@ def test_datasets_of_one_name_have_their_whole_ids(root: Path, series: list[Seri
 
 def test_datasets_of_two_robots_are_refused(series: list[Series], tmp_path: Path) -> None:
     other = load_series(publish("walker2d-base", tier="random", episodes=1).dataset_id)
-    with pytest.raises(
-        DatasetError, match="a plot is of one robot, but these datasets are of several: hopper .* walker2d"
-    ):
+    with pytest.raises(DatasetError, match="a plot is of one robot"):
         plot_datasets([*series, other], tmp_path)
     assert list(tmp_path.glob("*.png")) == []
 

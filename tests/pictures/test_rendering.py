@@ -567,29 +567,13 @@ def test_the_command_renders_a_recorded_episode(
 ) -> None:
     published = publish(HOPPER, tier="random", episodes=2)
     target = tmp_path / "sheet.png"
-    assert (
-        run(
-            [
-                "render",
-                published.dataset_id,
-                "-e",
-                "1",
-                "--sheet",
-                "--size",
-                "96x80",
-                "-o",
-                str(target),
-                "--json",
-            ]
-        )
-        == 0
-    )
+    command = ["render", published.dataset_id, "--sheet", "--size", "96x80", "-o", str(target)]
+    assert run([*command, "-e", "1", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["path"] == str(target)
     assert told["motions"][0]["moved_by"] == "random, episode 1"
     assert told["motions"][0]["divergence"] == 0.0
     before = target.read_bytes()
-    command = ["render", published.dataset_id, "--sheet", "--size", "96x80", "-o", str(target)]
     assert run(command) == 1
     assert f"{target} is already there; it was left alone" in capsys.readouterr().err
     assert target.read_bytes() == before
