@@ -32,12 +32,9 @@ def printable(text: object) -> str:
 
 
 class Printer:
-    """Print lines to a stream. A line may hold text from outside: it is made printable.
+    """Print lines to standard output or error. A line may hold text from outside: it is made printable.
 
     Rich sees finished text only, so no markup or emoji code in it has an effect.
-
-    Args:
-        stderr: print to standard error instead of standard output.
     """
 
     def __init__(self, *, stderr: bool = False) -> None:

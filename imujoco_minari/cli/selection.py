@@ -19,14 +19,7 @@ from imujoco_minari.variants import BASE, EXPERT, Variant, catalogue
 
 @dataclass(frozen=True)
 class Filters:
-    """The filters of a command.
-
-    Attributes:
-        robot: variants of this robot; None for any.
-        category: variants of this category; None for any.
-        everything: all variants of the catalogue.
-        with_base: add the base robots of the chosen variants.
-    """
+    """The filters of a command, each with the meaning that its help states."""
 
     robot: options.Robot = None
     category: options.Category = None
@@ -89,12 +82,7 @@ class VariantChoice(Filters):
 
 @dataclass(frozen=True)
 class DatasetChoice(Filters):
-    """The datasets that a command names, or else those of the chosen variants and tiers.
-
-    Attributes:
-        ids: the ids that the command names.
-        tiers: its tiers; only the experts' data when there are none.
-    """
+    """The datasets that a command names, or else those of the chosen variants: of its tiers, or the experts'."""
 
     ids: options.MaybeDatasetIds = None
     tiers: options.Tiers = None

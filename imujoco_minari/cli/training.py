@@ -184,13 +184,12 @@ def describe_trained(outcome: Trained, plan: Plan) -> tuple[str, ...]:
     if outcome.created:
         lines = ["trained", f"{variant}: {_made(outcome.record)}"]
     elif outcome.tried:
-        lines = ["kept", f"{variant}: {_made(outcome.record)}; not better: {_made(outcome.tried)}"]
-        if "score" in outcome.tried:
-            kept, reached = outcome.tried["kept_score"], outcome.tried["score"]
-            lines.append(
-                "  what counts is the mean of mean and lowest return, on the same episodes: "
-                f"{kept:.1f} and {reached:.1f}"
-            )
+        lines = [
+            "kept",
+            f"{variant}: {_made(outcome.record)}; not better: {_made(outcome.tried)}",
+            "  what counts is the mean of mean and lowest return, on the same episodes: "
+            f"{outcome.tried['kept_score']:.1f} and {outcome.tried['score']:.1f}",
+        ]
     else:
         lines = ["left alone", f"{variant}: it has an expert already"]
     evaluated = "evaluation" in outcome.record
