@@ -82,7 +82,7 @@ class VariantChoice(Filters):
 
 @dataclass(frozen=True)
 class DatasetChoice(Filters):
-    """The datasets that a command names, or else those of the chosen variants: of its tiers, or the experts'."""
+    """The datasets that a command names, or else those of the chosen variants and tiers."""
 
     ids: options.MaybeDatasetIds = None
     tiers: options.Tiers = None
