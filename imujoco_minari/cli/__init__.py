@@ -14,12 +14,9 @@ from imujoco_minari.cli import (  # noqa: F401  Each adds its commands to the he
     catalogue,
     datasets,
     export,
-    gallery,
     importing,
-    plot,
+    pictures,
     remote,
-    render,
-    submissions,
     training,
 )
 from imujoco_minari.cli.app import app, main

@@ -21,12 +21,12 @@ import typer
 
 from imujoco_minari.cli.options import option
 from imujoco_minari.cli.printing import fail, out, print_json, progress, say, with_name
+from imujoco_minari.envs.registration import load_catalogue
 from imujoco_minari.errors import ImujocoError, ImujocoWarning
 
 # Help is plain text: Markdown and Rich's markup take `<variant>` and `[DIR]` for tags and drop them.
 app = typer.Typer(
     name="imujoco",
-    help="Publish, verify and combine Minari datasets of perturbed MuJoCo robots (iMuJoCo).",
     pretty_exceptions_enable=False,
     add_completion=False,
     rich_markup_mode=None,
@@ -85,20 +85,17 @@ def _open_closed_streams() -> None:
 
 
 def _name_glfw_library() -> None:
-    """Name the library that the package glfw contains, unless the user names one.
+    """Name the library that the package glfw contains, unless the user names one. It opens no window here.
 
     MuJoCo and Gymnasium import glfw. Without a name, glfw starts a Python process for every library that
     it finds, to ask for its version. That takes 0.2 s, and a Ctrl-C in that time makes the process print
     a traceback.
     """
     package = find_spec("glfw")
-    if package is None or package.origin is None or os.environ.get("PYGLFW_LIBRARY"):
-        return
-    window_system = os.environ.get("PYGLFW_LIBRARY_VARIANT") or os.environ.get("XDG_SESSION_TYPE", "")
-    folder = "wayland" if window_system.lower() == "wayland" else "x11"
-    library = Path(package.origin).parent / folder / "libglfw.so"
-    if library.is_file():
-        os.environ["PYGLFW_LIBRARY"] = str(library)
+    if package is not None and package.origin is not None:
+        library = Path(package.origin).parent / "x11" / "libglfw.so"
+        if library.is_file():
+            os.environ.setdefault("PYGLFW_LIBRARY", str(library))
 
 
 def run(arguments: Sequence[str]) -> int:
@@ -166,18 +163,14 @@ def gather(
     as_json: bool,
     name: str = "dataset_id",
 ) -> None:
-    """Print the outcomes of a batch as they come and its failures at the end. Exit with their code.
+    """Print the outcomes of a batch as they come and its failures at the end. If there are any, exit.
 
     Args:
-        outcomes: dataclasses. Each has ``error``, which is empty for a success, and ``missing``: whether it
-            failed because something that was asked for does not exist.
+        outcomes: dataclasses with ``error``, which is empty for a success, and ``missing``.
         describe: returns what to print of a success: a verb, the rest of its line, and further lines. The
             last line of the batch counts the verbs.
         as_json: print one JSON document instead of lines.
         name: the attribute of an outcome that names it.
-
-    Raises:
-        typer.Exit: if one of them failed.
     """
     results: list[dict[str, Any]] = []
     verbs = Counter[str]()
@@ -207,11 +200,9 @@ def gather(
         raise typer.Exit(exit_code(missing))
 
 
-def advancing(
-    outcomes: Iterable[_Outcome], description: str, total: int, *, quiet: bool
-) -> Iterator[_Outcome]:
+def advancing(outcomes: Iterable[_Outcome], description: str, total: int) -> Iterator[_Outcome]:
     """Yield the outcomes of a batch behind a bar that each of them advances by one."""
-    with progress(description, total, quiet=quiet) as advance:
+    with progress(description, total) as advance:
         for outcome in outcomes:
             yield outcome
             advance()
@@ -225,23 +216,16 @@ def _version(show: bool) -> None:
         raise typer.Exit
 
 
-def _load_catalogue(folders: list[Path] | None) -> None:
-    from imujoco_minari import load_catalogue
-
-    for folder in folders or []:
-        load_catalogue(folder)
-
-
-_FOLDERS = "A folder with pages of your own robots, or one page; may be repeated."
-
-
 @app.callback()
 def _options(
     catalogue: Annotated[
-        list[Path] | None, option("--catalogue DIR", _FOLDERS, callback=_load_catalogue, is_eager=True)
+        list[Path] | None,
+        option("--catalogue DIR", "A folder with pages of your own robots, or one page; may be repeated."),
     ] = None,
     version: Annotated[
         bool, option("--version", "Print the version.", callback=_version, is_eager=True)
     ] = False,
 ) -> None:
     """Publish, verify and combine Minari datasets of perturbed MuJoCo robots (iMuJoCo)."""
+    for folder in catalogue or []:
+        load_catalogue(folder)

@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
-from itertools import chain
+from itertools import chain, groupby
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from imujoco_minari.cli.app import advancing, app
+from imujoco_minari.cli.app import FAILED, advancing, app
 from imujoco_minari.cli.estimates import plan, publishing_line, time_text
 from imujoco_minari.cli.options import AsJson, DryRun, Jobs, Output, Tiers, argument, option
-from imujoco_minari.cli.printing import counted, out, print_json, print_table, progress, say
+from imujoco_minari.cli.printing import counted, out, print_json, print_table, progress, report, say
 from imujoco_minari.errors import BenchmarkError
 from imujoco_minari.variants import EXPERT, ROBOTS, held_out, parse_dataset_id
 
@@ -42,13 +43,9 @@ Seeds = Annotated[int | None, option("--seeds N", "Number of seeds. [default: th
 def few_shot(
     splits: Annotated[list[str] | None, option("--split NAME", "A split; may be repeated.")] = None,
     methods: Methods = None,
-    variants: Annotated[
-        list[str] | None, option("--held-out VARIANT", "A held-out variant; may be repeated.")
-    ] = None,
+    variants: Annotated[list[str] | None, option("--held-out VARIANT", "A variant; may be repeated.")] = None,
     tiers: Tiers = None,
-    budgets: Annotated[
-        list[str] | None, option("--budget NAME", "Windows and their steps, as in 5x100 or 1xall.")
-    ] = None,
+    budgets: Annotated[list[str] | None, option("--budget NAME", "Windows and steps, as in 5x100.")] = None,
     seeds: Seeds = None,
     settings: Annotated[
         list[str] | None, option("--setting NAME=VALUE", "A setting of the methods; may be repeated.")
@@ -57,9 +54,7 @@ def few_shot(
         str | None,
         option("--demonstrations TIER", "Another tier of the demonstrations, as of other experts."),
     ] = None,
-    validation: Annotated[
-        bool, option("--validation", "Hold out every fifth training variant instead.")
-    ] = False,
+    validation: Annotated[bool, option("--validation", "Hold out every fifth training variant.")] = False,
     jobs: Jobs = 1,
     output: Output = None,
     dry_run: DryRun = False,
@@ -105,8 +100,8 @@ def few_shot(
     recipes = _recipes(grid.dataset_ids())
     _say_cost(grid, recipes, jobs, dry_run=dry_run, as_json=as_json)
     trains = bool(set(grid.methods) & (METHODS.keys() - BOUNDS))
-    _publish(recipes, jobs, trains=trains, quiet=as_json)
-    with progress("computing", grid.cells(), quiet=as_json) as on_cells:
+    _publish(recipes, jobs, trains=trains)
+    with progress("computing", grid.cells()) as on_cells:
         lines = run_few_shot(grid, output or RESULTS, jobs=jobs, on_cells=on_cells)
     _show(few_shot_scores(lines), as_json)
 
@@ -121,9 +116,7 @@ def offline(
     jobs: Jobs = 1,
     output: Output = None,
     dry_run: DryRun = False,
-    across: Annotated[
-        bool, option("--across", "Learn from all training variants of the random splits.")
-    ] = False,
+    across: Annotated[bool, option("--across", "Learn from all training variants of a split.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Run offline reinforcement learning on the bases' datasets, or across variants.
@@ -162,8 +155,8 @@ def offline(
         across=across,
     )
     _say_cost(grid, grid.recipes(), jobs, dry_run=dry_run, as_json=as_json)
-    _publish(grid.recipes(), jobs, quiet=as_json)
-    with progress("training", grid.cells(), quiet=as_json) as on_cells:
+    _publish(grid.recipes(), jobs)
+    with progress("training", grid.cells()) as on_cells:
         lines = run_offline(grid, output or RESULTS, jobs=jobs, on_cells=on_cells)
     _show(offline_scores(lines), as_json)
 
@@ -182,8 +175,8 @@ def reproduce(seeds: Seeds = None, jobs: Jobs = 1, output: Output = None, as_jso
 
     chosen = range(seeds or reproduction.SEEDS)
     train, test = reproduction.published_split()
-    _publish(_recipes([*train, *test]), jobs, quiet=as_json)
-    with progress("training", len(chosen) * len(reproduction.METHODS), quiet=as_json) as on_cells:
+    _publish(_recipes([*train, *test]), jobs)
+    with progress("training", len(chosen) * len(reproduction.METHODS)) as on_cells:
         lines = reproduction.run_reproduction(output or RESULTS, seeds=chosen, jobs=jobs, on_cells=on_cells)
     rows = reproduction.comparison(lines)
     if as_json:
@@ -238,7 +231,7 @@ def page(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = Fals
     parts = sections(results)
     target = output or Path("docs")
     files: list[Path] = []
-    for figure in (figure for part in parts for figure in part.figures):
+    for figure in chain.from_iterable(part.figures for part in parts):
         labels = (figure.title, figure.x_label, figure.y_label)
         stem = target / "results-figures" / figure.name
         files += plot_scores(figure.panels, figure.ticks, labels, stem, figure.reference)
@@ -248,29 +241,40 @@ def page(folder: Folder = RESULTS, output: Output = None, as_json: AsJson = Fals
     write_text(target / "results.csv", to_csv(chain(*results.scores)))
     files += [target / "results.md", target / "results.csv"]
     _say_changed(results.all())
-    if as_json:
-        print_json({"files": [str(file) for file in files]})
-        return
-    out.print(f"wrote {counted(len(files), 'file')} to {target}")
+    report({"files": files}, f"wrote {counted(len(files), 'file')} to {target}", as_json=as_json)
+
+
+@benchmark.command()
+def check(folder: Folder, as_json: AsJson = False) -> None:
+    """Check whether the results of your method can stand beside the published ones.
+
+    The lines must have every variant, seed and budget of each split that they name, be of the published data,
+    protocol and versions, and state the method's settings. The command prints what is missing or wrong, one
+    line each. The exit status is then 1.
+
+    Example: `imujoco benchmark check docs/results/others/nearest-neighbour`
+    """
+    from imujoco_minari.benchmark.submissions import check_submission
+
+    faults = check_submission(folder)
+    lines = faults or [f"{folder}: whole, and of the published data, protocol and versions"]
+    report({"whole": not faults, "faults": faults}, *lines, as_json=as_json)
+    if faults:
+        raise typer.Exit(FAILED)
 
 
 def _say_cost(
     grid: FewShotGrid | OfflineGrid, recipes: Sequence[Recipe], jobs: int, *, dry_run: bool, as_json: bool
 ) -> None:
-    """Say how many cells a grid has, how long they take, and which datasets are to be published first.
-
-    Raises:
-        typer.Exit: if it is a dry run.
-    """
+    """Say what a grid will compute, and which datasets are to be published first. Exit if it is a dry run."""
     cells, seconds = grid.cells(), grid.seconds() / jobs
     missing = [each for each in map(plan, recipes) if each.action != "leave alone"]
-    if dry_run and as_json:
-        print_json({"cells": cells, "seconds": seconds, "publish": [each.dataset_id for each in missing]})
-    else:
-        say(f"{counted(cells, 'cell')}: about {time_text(seconds)} with --jobs {jobs}")
-        if missing:
-            say(f"to publish first: {publishing_line(missing, jobs)}")
+    say(f"{counted(cells, 'cell')}: about {time_text(seconds)} with --jobs {jobs}")
+    if missing:
+        say(f"to publish first: {publishing_line(missing, jobs)}")
     if dry_run:
+        if as_json:
+            print_json({"cells": cells, "seconds": seconds, "publish": [each.dataset_id for each in missing]})
         raise typer.Exit
 
 
@@ -291,20 +295,15 @@ def _recipes(dataset_ids: Sequence[str]) -> list[Recipe]:
     return [Recipe(variant, tier) for variant, tier in named if tier in TIERS]
 
 
-def _publish(recipes: Sequence[Recipe], jobs: int, *, trains: bool = True, quiet: bool) -> None:
-    """Publish the datasets that the Minari root lacks.
-
-    Raises:
-        DependencyError: if networks will be trained, and a package for that is not installed.
-        BenchmarkError: if the root has a dataset of another recipe with the same id, or one cannot be made.
-    """
+def _publish(recipes: Sequence[Recipe], jobs: int, *, trains: bool = True) -> None:
+    """Publish the datasets that the Minari root lacks. Before that, check that networks can be trained."""
     from imujoco_minari.benchmark.networks import import_optax
     from imujoco_minari.publishing.publisher import publish_all
 
     if trains:
         import_optax()
     outcomes = publish_all(recipes, jobs=jobs)
-    for outcome in advancing(outcomes, "preparing datasets", len(recipes), quiet=quiet):
+    for outcome in advancing(outcomes, "preparing datasets", len(recipes)):
         if outcome.error:
             raise BenchmarkError(outcome.error)
 
@@ -313,8 +312,8 @@ def _show(scores: Sequence[MethodScore], as_json: bool = False) -> None:
     if as_json:
         print_json(list(map(vars, scores)))
         return
-    for group, tier, category in sorted({(s.group, s.tier, s.category) for s in scores}):
-        own = [s for s in scores if (s.group, s.tier, s.category) == (group, tier, category)]
+    key = attrgetter("group", "tier", "category")
+    for (group, tier, category), own in groupby(sorted(scores, key=key), key):
         out.print(f"{group}, {tier}, {category} variants")
         print_table(_COLUMNS, [_row(score) for score in own], numeric=_COLUMNS[1:2] + _COLUMNS[3:])
         out.print("")

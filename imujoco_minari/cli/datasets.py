@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
+from contextlib import nullcontext
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich import filesize
 
 from imujoco_minari.cli import options
 from imujoco_minari.cli.app import advancing, app, exit_code, gather
-from imujoco_minari.cli.estimates import cost, plan, publishing_line, size_text
+from imujoco_minari.cli.estimates import cost, plan, publishing_line
 from imujoco_minari.cli.options import option, spread
 from imujoco_minari.cli.printing import (
     counted,
@@ -46,9 +48,7 @@ def publish_datasets(
     episodes: options.EpisodeCount = 100,
     seed: options.Seed = 0,
     policy: options.PolicyFile = None,
-    stochastic: Annotated[
-        bool, option("--stochastic", "Sample actions instead of taking their mode.")
-    ] = False,
+    stochastic: Annotated[bool, option("--stochastic", "Sample actions, do not take their mode.")] = False,
     jobs: options.Jobs = 1,
     backend: options.Backend = None,
     force: options.Force = False,
@@ -79,28 +79,25 @@ def publish_datasets(
     ]
     if dry_run or len(recipes) > 1 or recipes[0].tier == MEDIUM_REPLAY:
         planned = [plan(recipe, force=force) for recipe in recipes]
-        if not as_json:
-            say(publishing_line(planned, jobs))
+        say(publishing_line(planned, jobs))
         if dry_run:
             gather(planned, _describe_planned, as_json=as_json)
             return
         check_space(counted(len(recipes), "dataset"), sum(each.bytes for each in planned))
-    gather(_published(recipes, jobs, backend, force, quiet=as_json), describe_published, as_json=as_json)
+    gather(_published(recipes, jobs, backend, force), describe_published, as_json=as_json)
 
 
-def _published(
-    recipes: list[Recipe], jobs: int, backend: str | None, force: bool, *, quiet: bool
-) -> Iterator[Published]:
+def _published(recipes: list[Recipe], jobs: int, backend: str | None, force: bool) -> Iterator[Published]:
     """Publish each recipe and yield its outcome, behind a bar of datasets; for one dataset, of episodes."""
     from imujoco_minari.publishing.outcome import Published
     from imujoco_minari.publishing.publisher import publish_all, publish_recipe
 
     if len(recipes) > 1 or backend is not None:
         outcomes = publish_all(recipes, jobs=jobs, force=force, backend=backend)
-        yield from advancing(outcomes, "publishing", len(recipes), quiet=quiet)
+        yield from advancing(outcomes, "publishing", len(recipes))
         return
     total = None if recipes[0].tier == MEDIUM_REPLAY else recipes[0].episodes
-    with progress(str(recipes[0].variant), total, quiet=quiet) as advance:
+    with progress(str(recipes[0].variant), total) as advance:
         try:
             outcome = publish_recipe(recipes[0], jobs=jobs, force=force, on_episode=advance)
         except ImujocoError as error:
@@ -137,9 +134,7 @@ def combine(
     category: options.Category = None,
     with_base: options.WithBase = False,
     tier: options.Tier = EXPERT,
-    partial: Annotated[
-        bool, option("--partial", "Leave out variants that are not published. Needs --id.")
-    ] = False,
+    partial: Annotated[bool, option("--partial", "Leave out what is not published. Needs --id.")] = False,
     link: Annotated[bool, option("--link", "Refer to the episodes instead of copying them.")] = False,
     force: options.Force = False,
     as_json: options.AsJson = False,
@@ -196,9 +191,7 @@ def combine(
 def verify_datasets(
     choice: DatasetChoice,
     replay: Annotated[bool, typer.Option(help="Replay every episode from its seed and actions.")] = True,
-    published: Annotated[
-        bool, option("--published", "Compare with the digest that this version lists.")
-    ] = False,
+    published: Annotated[bool, option("--published", "Compare with the digest of this version.")] = False,
     jobs: options.Jobs = 1,
     backend: options.Backend = None,
     as_json: options.AsJson = False,
@@ -226,7 +219,8 @@ def verify_datasets(
     errors: list[ImujocoError] = []
     for dataset_id in chosen:
         try:
-            with progress(dataset_id, _episodes(dataset_id), quiet=as_json or not replay) as advance:
+            bar = progress(dataset_id, _episodes(dataset_id)) if replay else nullcontext(None)
+            with bar as advance:
                 results[dataset_id] = check(dataset_id, on_episode=advance)
         except ImujocoError as error:
             errors.append(error)
@@ -305,4 +299,4 @@ def _ask(ids: list[str]) -> None:
 
 
 def _describe_deleted(outcome: Deleted) -> tuple[str, ...]:
-    return "deleted", f"{outcome.dataset_id}: {size_text(outcome.bytes)}"
+    return "deleted", f"{outcome.dataset_id}: {filesize.decimal(outcome.bytes)}"

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rich import filesize
+
 from imujoco_minari.cli.printing import counted
 from imujoco_minari.errors import DatasetError, ImujocoError, clipped
 from imujoco_minari.policies import own_record
@@ -92,7 +94,7 @@ def training_line(variants: Sequence[Variant], policies: Path | None, jobs: int,
     return work_line("expert", "train", len(variants), costs, jobs)
 
 
-def work_line(noun: str, verb: str, count: int, costs: Sequence[tuple[float, float]], jobs: int) -> str:
+def work_line(noun: str, verb: str, count: int, costs: Sequence[tuple[int, float]], jobs: int) -> str:
     """Return one line with the cost of work: the bytes and seconds of each item that is not done yet."""
     line = counted(count, noun)
     if len(costs) < count:
@@ -150,18 +152,10 @@ def _stated_counts(dataset_id: str) -> tuple[int, int]:
     return stated["total_episodes"], stated["total_steps"]
 
 
-def cost(size: float, seconds: float, jobs: int = 1) -> str:
+def cost(size: int, seconds: float, jobs: int = 1) -> str:
     """Return an amount of disk and of time in words, as in ``about 2.4 GB and 28 minutes``."""
-    text = f"about {size_text(size)} and {time_text(seconds / jobs)}"
+    text = f"about {filesize.decimal(size)} and {time_text(seconds / jobs)}"
     return text + (f" with {jobs} processes on as many cores" if jobs > 1 else "")
-
-
-def size_text(size: float) -> str:
-    """Return a number of bytes as people read it."""
-    for unit, name in ((1e9, "GB"), (1e6, "MB")):
-        if size >= unit:
-            return f"{size / unit:.1f} {name}"
-    return f"{size / 1e3:.0f} kB"
 
 
 def time_text(seconds: float) -> str:

@@ -59,14 +59,13 @@ def export_datasets(
     target = output or default_target(chosen[0], format, states_only=states_only)
     if dry_run or len(chosen) > 1:
         planned = plan_export(chosen, archive=format == ARCHIVE)
-        if dry_run and as_json:
-            print_json(planned)
-        else:
-            say(export_line(planned))
+        say(export_line(planned))
         if dry_run:
+            if as_json:
+                print_json(planned)
             return
     if format == ARCHIVE:
-        with progress("exporting", len(chosen), quiet=as_json) as advance:
+        with progress("exporting", len(chosen)) as advance:
             exported = export_archive(chosen, target, force=force, on_dataset=advance)
     else:
         data = arrays(chosen, portion=portion, seed=seed)
@@ -82,9 +81,7 @@ def preferences(
     output: options.Output = None,
     pairs: Annotated[int, option("--pairs -n N", "Number of pairs.", min=1)] = 1000,
     length: Annotated[int, option("--length -l N", "Steps of a segment.", min=1)] = 50,
-    tiers: Annotated[
-        str | None, option("--tiers TIERS", "Tiers from best to worst, as expert,medium,random.")
-    ] = None,
+    tiers: Annotated[str | None, option("--tiers TIERS", "Tiers, best first: expert,medium,random.")] = None,
     seed: options.Seed = 0,
     force: options.Force = False,
     as_json: options.AsJson = False,

@@ -26,9 +26,7 @@ def import_archive_command(
     variants: options.VariantIds = None,
     robot: options.Robot = None,
     category: options.Category = None,
-    recollect: Annotated[
-        bool, option("--recollect", "Roll out the archive's policies in its models.")
-    ] = False,
+    recollect: Annotated[bool, option("--recollect", "Run the archive's policies in its models.")] = False,
     episodes: options.EpisodeCount = 100,
     seed: options.Seed = 0,
     columns: options.Columns = None,
@@ -54,15 +52,13 @@ def import_archive_command(
     if archive.ignored:
         shown = ", ".join(archive.ignored[:5])
         say(f"left out {counted(len(archive.ignored), 'file')} not named after a variant: {shown}")
-    outcomes = advancing(import_archive(archive, chosen, how), "importing", len(chosen), quiet=as_json)
+    outcomes = advancing(import_archive(archive, chosen, how), "importing", len(chosen))
     gather(outcomes, describe_published, as_json=as_json)
 
 
 @app.command("diff-catalogue")
 def diff_catalogue(
-    place: Annotated[
-        Path | None, argument("DIR", "The archive; by default, the datasets imported from it.")
-    ] = None,
+    place: Annotated[Path | None, argument("DIR", "The archive. [default: the imported datasets]")] = None,
     robot: options.Robot = None,
     category: options.Category = None,
     as_json: options.AsJson = False,

@@ -35,12 +35,13 @@ def argument(metavar: str, help: str) -> Any:
 def spread(command: Callable[..., None]) -> Callable[..., None]:
     """Make each parameter of a command that is a dataclass appear as options: the fields of the class."""
     signature = inspect.signature(command, eval_str=True)
-    annotations = {each.name: each.annotation for each in signature.parameters.values()}
-    groups: dict[str, Any] = {name: kind for name, kind in annotations.items() if is_dataclass(kind)}
+    groups: dict[str, Any] = {}
     shown: list[inspect.Parameter] = []
-    for each in signature.parameters.values():
-        group = groups.get(each.name)
-        own = [each] if group is None else inspect.signature(group, eval_str=True).parameters.values()
+    for name, each in signature.parameters.items():
+        own = [each]
+        if is_dataclass(each.annotation):
+            groups[name] = each.annotation
+            own = list(inspect.signature(groups[name], eval_str=True).parameters.values())
         shown += [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in own]
 
     @wraps(command)
@@ -75,18 +76,10 @@ Tiers = Annotated[list[str] | None, option("--tier -t TIER", "A tier; may be rep
 # How to work.
 EpisodeCount = Annotated[int, option("--episodes -n N", "Number of episodes.", min=1, max=1_000_000)]
 Seed = Annotated[int, option("--seed -s N", "Seed of everything that is random.", min=0)]
-Columns = Annotated[
-    str | None,
-    option("--columns NAMES", "The columns of the table, as in observation,action,reward,done."),
-]
+Columns = Annotated[str | None, option("--columns NAMES", "Columns, as in observation,action,reward,done.")]
 Jobs = Annotated[int, option("--jobs -j N", "Number of processes.", min=1)]
-Backend = Annotated[
-    str | None,
-    option("--backend NAME", "Where the jobs run: loky (this machine) or ray (a running Ray cluster)."),
-]
-DryRun = Annotated[
-    bool, option("--dry-run", "Print the work and its estimated size and time, and do nothing.")
-]
+Backend = Annotated[str | None, option("--backend NAME", "Where jobs run: loky (here) or ray (a cluster).")]
+DryRun = Annotated[bool, option("--dry-run", "Print the work and its estimated cost, and do nothing.")]
 PolicyFile = Annotated[Path | None, option("--policy FILE", "A Stable-Baselines3 .zip or a .safetensors.")]
 Remote = Annotated[
     str | None, option("--remote ADDRESS", "hf://user or gcp://bucket. [default: $MINARI_REMOTE]")

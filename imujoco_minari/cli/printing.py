@@ -11,15 +11,8 @@ from contextlib import contextmanager
 from datetime import timedelta
 from typing import Any
 
+from rich import progress as bars
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 from rich.text import Text
 
 # An estimate is of the speed in this time, and a log gets a line after at least this time.
@@ -39,12 +32,9 @@ def printable(text: object) -> str:
 
 
 class Printer:
-    """Print lines to a stream. A line may hold text from outside: it is made printable.
+    """Print lines to standard output or error. A line may hold text from outside: it is made printable.
 
     Rich sees finished text only, so no markup or emoji code in it has an effect.
-
-    Args:
-        stderr: print to standard error instead of standard output.
     """
 
     def __init__(self, *, stderr: bool = False) -> None:
@@ -132,23 +122,19 @@ def counted(count: int, noun: str) -> str:
 
 
 @contextmanager
-def progress(description: str, total: int | None, *, quiet: bool = False) -> Iterator[Callable[..., None]]:
+def progress(description: str, total: int | None) -> Iterator[Callable[..., None]]:
     """Show a bar with an estimate on the error stream, and yield the function that advances it.
 
     The function advances the bar by one, or by the number that it is given. A total of None is unknown: the
     bar counts, without an estimate. A log gets a line a minute instead of the bar.
     """
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )
-    console = err.console
-    disable = quiet or not console.is_terminal
-    with Progress(*columns, console=console, disable=disable, speed_estimate_period=ESTIMATE_SECONDS) as bar:
+    name = bars.TextColumn("{task.description}", markup=False)
+    columns = (name, bars.BarColumn(), bars.MofNCompleteColumn())
+    times = (bars.TimeElapsedColumn(), "left", bars.TimeRemainingColumn())
+    disable = not err.console.is_terminal
+    with bars.Progress(
+        *columns, *times, console=err.console, disable=disable, speed_estimate_period=ESTIMATE_SECONDS
+    ) as bar:
         bar.add_task(printable(description), total=total)
         [task] = bar.tasks
         written = time.monotonic()
@@ -156,7 +142,7 @@ def progress(description: str, total: int | None, *, quiet: bool = False) -> Ite
         def advance(count: int = 1) -> None:
             nonlocal written
             bar.advance(task.id, count)
-            if disable and not quiet and time.monotonic() - written >= LINE_SECONDS:
+            if disable and time.monotonic() - written >= LINE_SECONDS:
                 written = time.monotonic()
                 left = task.time_remaining
                 estimate = "" if left is None else f", {timedelta(seconds=round(left))} left"

@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING, Annotated
 
+from rich import filesize
+
 from imujoco_minari.cli import options
 from imujoco_minari.cli.app import advancing, app, gather
-from imujoco_minari.cli.estimates import size_text
 from imujoco_minari.cli.options import option, spread
 from imujoco_minari.cli.printing import counted, say
 from imujoco_minari.cli.selection import DatasetChoice
@@ -52,17 +53,17 @@ def push_datasets(
         if remote is not None:
             parse_address(remote)
         planned = list(plan_push(chosen))
-        if not as_json:
-            say(f"{counted(len(planned), 'dataset')}: {size_text(sum(each.bytes for each in planned))}")
+        size = filesize.decimal(sum(each.bytes for each in planned))
+        say(f"{counted(len(planned), 'dataset')}: {size}")
         gather(
             planned,
-            lambda each: ("would push", f"{each.dataset_id}: {size_text(each.bytes)}"),
+            lambda each: ("would push", f"{each.dataset_id}: {filesize.decimal(each.bytes)}"),
             as_json=as_json,
         )
         return
     address = _address(remote)
     outcomes = push_all(chosen, address, token=token, force=force)
-    shown = advancing(outcomes, f"pushing to {address}", len(chosen), quiet=as_json)
+    shown = advancing(outcomes, f"pushing to {address}", len(chosen))
     gather(shown, _describe_push, as_json=as_json)
 
 
@@ -90,14 +91,14 @@ def pull_datasets(
     chosen = choice.datasets(published=False)
     address = _address(remote)
     outcomes = pull_all(chosen, address, token=token, force=force)
-    shown = advancing(outcomes, f"pulling from {address}", len(chosen), quiet=as_json)
+    shown = advancing(outcomes, f"pulling from {address}", len(chosen))
     gather(shown, _describe_pull, as_json=as_json)
 
 
 def _describe_push(pushed: Pushed) -> tuple[str, ...]:
     if not pushed.uploaded:
         return "left alone", f"{pushed.dataset_id}: {pushed.remote} has the same already"
-    checked = f"{size_text(pushed.bytes)}, read back and equal, in {pushed.seconds:.1f} s"
+    checked = f"{filesize.decimal(pushed.bytes)}, read back and equal, in {pushed.seconds:.1f} s"
     return "pushed", f"{pushed.dataset_id} to {pushed.remote}: {checked}"
 
 

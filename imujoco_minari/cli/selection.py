@@ -19,14 +19,7 @@ from imujoco_minari.variants import BASE, EXPERT, Variant, catalogue
 
 @dataclass(frozen=True)
 class Filters:
-    """The filters of a command.
-
-    Attributes:
-        robot: variants of this robot; None for any.
-        category: variants of this category; None for any.
-        everything: all variants of the catalogue.
-        with_base: add the base robots of the chosen variants.
-    """
+    """The filters of a command, each with the meaning that its help states."""
 
     robot: options.Robot = None
     category: options.Category = None
@@ -37,10 +30,12 @@ class Filters:
         """Whether they choose variants. ``--with-base`` alone does not."""
         return bool(self.robot or self.category or self.everything)
 
-    def check_no_names(self, names: Sequence[str] | None) -> None:
-        """Raise a VariantError if a command has both names and filters."""
+    def check(self, names: Sequence[str] | None, request: str) -> None:
+        """Raise a VariantError if a command has both names and filters, or neither."""
         if names and (self or self.with_base):
             raise VariantError(f"give ids or {self}, not both")
+        if not names and not self:
+            raise VariantError(f"{request}, or choose some with --robot, --category or --all")
 
     def __str__(self) -> str:
         words = ["--all"] if self.everything else []
@@ -79,22 +74,15 @@ class VariantChoice(Filters):
         Raises:
             VariantError: if a name is no variant, or there are names and filters, or neither.
         """
-        self.check_no_names(self.names)
+        self.check(self.names, "name a variant")
         if self.names:
             return list(dict.fromkeys(Variant.parse(name) for name in self.names))
-        if not self:
-            raise VariantError("name a variant, or choose some with --robot, --category or --all")
         return super().variants()
 
 
 @dataclass(frozen=True)
 class DatasetChoice(Filters):
-    """The datasets that a command names, or else those of the chosen variants and tiers.
-
-    Attributes:
-        ids: the ids that the command names.
-        tiers: its tiers; only the experts' data when there are none.
-    """
+    """The datasets that a command names, or else those of the chosen variants and tiers."""
 
     ids: options.MaybeDatasetIds = None
     tiers: options.Tiers = None
@@ -109,13 +97,11 @@ class DatasetChoice(Filters):
             VariantError: if there are ids and filters, or neither.
             DatasetNotFoundError: if nothing is left.
         """
-        self.check_no_names(self.ids)
+        self.check(self.ids, "give dataset ids")
         if self.ids and self.tiers:
             raise VariantError("give dataset ids or --tier, not both")
         if self.ids:
             return list(dict.fromkeys(self.ids))
-        if not self:
-            raise VariantError("give dataset ids, or choose some with --robot, --category or --all")
         tiers = list(dict.fromkeys(self.tiers or [EXPERT]))
         found = [variant.dataset_id(tier) for tier in tiers for variant in self.variants()]
         if published:

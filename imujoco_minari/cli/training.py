@@ -15,7 +15,7 @@ from imujoco_minari.cli import options
 from imujoco_minari.cli.app import advancing, app, gather
 from imujoco_minari.cli.datasets import describe_published
 from imujoco_minari.cli.estimates import training_line
-from imujoco_minari.cli.options import Output, argument, option
+from imujoco_minari.cli.options import Output, argument, option, spread
 from imujoco_minari.cli.printing import counted, out, print_json, print_table, say
 from imujoco_minari.cli.selection import Filters, VariantChoice
 from imujoco_minari.errors import CatalogueError
@@ -26,7 +26,7 @@ from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS, Variant, bases, ca
 
 if TYPE_CHECKING:
     from imujoco_minari.publishing.outcome import Published
-    from imujoco_minari.training.run import OnInterval, Progress
+    from imujoco_minari.training.run import Progress
     from imujoco_minari.training.sweep import Trained
     from imujoco_minari.training.task import Plan, Task
 
@@ -35,15 +35,10 @@ app.add_typer(policy, name="policy")
 
 
 @app.command("train")
+@spread
 def train_variants(
-    variants: options.VariantIds = None,
-    robot: options.Robot = None,
-    category: options.Category = None,
-    everything: options.Everything = False,
-    with_base: options.WithBase = False,
-    universal: Annotated[
-        bool, option("--universal", "Train the universal policy of the robot in --robot instead.")
-    ] = False,
+    choice: VariantChoice,
+    universal: Annotated[bool, option("--universal", "Train the universal policy of --robot.")] = False,
     scratch: Annotated[bool, option("--scratch", "Do not start from another agent.")] = False,
     max_steps: Annotated[int | None, option("--max-steps N", "Environment steps at most.", min=1)] = None,
     target: Annotated[
@@ -57,18 +52,11 @@ def train_variants(
     jobs: options.Jobs = 1,
     backend: options.Backend = None,
     nice: Annotated[int, option("--nice N", "Lower the priority by this much.", min=0, max=19)] = 0,
-    device: Annotated[
-        str | None,
-        option("--device NAME", "Where to compute updates: cpu or gpu; by default, the faster one."),
-    ] = None,
+    device: Annotated[str | None, option("--device NAME", "cpu or gpu. [default: the faster one]")] = None,
     state: Annotated[Path | None, option("--state FOLDER", "Folder of unfinished runs.")] = None,
     output: Output = None,
-    improve: Annotated[
-        bool, typer.Option("--improve", help="Train finished policies further, and keep the better ones.")
-    ] = False,
-    record_replay: Annotated[
-        bool, typer.Option("--record-replay", help="Publish the run's transitions as the tier replay.")
-    ] = False,
+    improve: Annotated[bool, option("--improve", "Train finished policies on; keep the better.")] = False,
+    record_replay: Annotated[bool, option("--record-replay", "Publish the run as the tier replay.")] = False,
     as_json: options.AsJson = False,
 ) -> None:
     """Train an expert for each variant.
@@ -91,9 +79,9 @@ def train_variants(
     from imujoco_minari.training.hyperparameters import hyperparameter_changes
     from imujoco_minari.training.task import Plan, default_state
 
-    if universal and (robot is None or variants or category):
+    if universal and (choice.robot is None or choice.names or choice.category):
         raise typer.BadParameter("--universal trains one policy a robot: give --robot ROBOT and no variants")
-    chosen = VariantChoice(robot, category, everything, with_base, variants).variants()
+    chosen = choice.variants()
     try:
         changes = hyperparameter_changes(settings or [])
     except CatalogueError as error:
@@ -111,25 +99,20 @@ def train_variants(
         improve=improve,
         device=device,
     )
-    if universal and robot is not None:
-        outcomes = _universal(robot, plan, as_json)
-        gather(outcomes, describe_universal, as_json=as_json, name="variant")
+    if universal and choice.robot is not None:
+        gather(_universal(choice.robot, plan), describe_universal, as_json=as_json, name="variant")
         return
-    if len(chosen) > 1 and not as_json:
+    if len(chosen) > 1:
         say(training_line(chosen, output, jobs, improve=improve or record_replay))
     if record_replay:
         os.nice(nice)
-        gather(_recorded(chosen, plan, as_json), describe_published, as_json=as_json)
+        gather(_recorded(chosen, plan), describe_published, as_json=as_json)
         return
-    gather(
-        _trained(chosen, plan, jobs, backend, as_json),
-        partial(describe_trained, plan=plan),
-        as_json=as_json,
-        name="variant",
-    )
+    outcomes = _trained(chosen, plan, jobs, backend)
+    gather(outcomes, partial(describe_trained, plan=plan), as_json=as_json, name="variant")
 
 
-def _recorded(chosen: list[Variant], plan: Plan, quiet: bool) -> Iterator[Published]:
+def _recorded(chosen: list[Variant], plan: Plan) -> Iterator[Published]:
     """Publish the transitions of a training run of each variant."""
     from imujoco_minari.publishing.training_data import record_training
     from imujoco_minari.training.sweep import task
@@ -138,49 +121,42 @@ def _recorded(chosen: list[Variant], plan: Plan, quiet: bool) -> Iterator[Publis
         # All of the run is recorded, not only the way to a target.
         whole = replace(task(variant, plan), target=float("inf"))
         folder = plan.state / f"{variant}-replay"
-        yield record_training(whole, folder, device=plan.device, on_interval=_teller(quiet))
+        yield record_training(whole, folder, device=plan.device, on_interval=_tell)
 
 
-def _trained(
-    chosen: list[Variant], plan: Plan, jobs: int, backend: str | None, quiet: bool
-) -> Iterator[Trained]:
+def _trained(chosen: list[Variant], plan: Plan, jobs: int, backend: str | None) -> Iterator[Trained]:
     """Train each variant and yield the outcome."""
     from imujoco_minari.training.sweep import train, train_all
 
     if len(chosen) == 1 and backend is None:
         os.nice(plan.nice)
-        yield train(chosen[0], plan, _teller(quiet))
+        yield train(chosen[0], plan, _tell)
         return
     outcomes = train_all(chosen, plan, jobs=jobs, backend=backend)
-    yield from advancing(outcomes, "training", len(chosen), quiet=quiet)
+    yield from advancing(outcomes, "training", len(chosen))
 
 
-def _universal(robot: str, plan: Plan, quiet: bool) -> Iterator[Trained]:
+def _universal(robot: str, plan: Plan) -> Iterator[Trained]:
     """Train the universal policy of a robot and yield the outcome."""
     from imujoco_minari.training.universal import train_universal
 
     os.nice(plan.nice)
-    tell = (lambda line: None) if quiet else say
-    yield train_universal(robot, plan, say=tell, on_interval=_teller(quiet))
+    yield train_universal(robot, plan, say=say, on_interval=_tell)
 
 
-def _teller(quiet: bool) -> OnInterval:
-    """Return a function that prints a line after each evaluation, with the longest time that is left."""
-
-    def tell(state: Progress, task: Task) -> None:
-        last = state.evaluations[-1] if state.evaluations else {}
-        if quiet or last.get("steps") != state.steps:
-            return
-        left = ""
-        if state.steps:
-            steps_left = max(0, task.settings.max_steps - state.steps)
-            left = f", at most {steps_left * state.wall_seconds / state.steps / 60:.0f} left"
-        say(
-            f"{state.steps:>9,} steps  {_found(last)}  best score {state.best_score:8.6g}"
-            f"  {state.wall_seconds / 60:6.1f} min{left}"
-        )
-
-    return tell
+def _tell(state: Progress, task: Task) -> None:
+    """Print a line after each evaluation, with the longest time that is left."""
+    last = state.evaluations[-1] if state.evaluations else {}
+    if last.get("steps") != state.steps:
+        return
+    left = ""
+    if state.steps:
+        steps_left = max(0, task.settings.max_steps - state.steps)
+        left = f", at most {steps_left * state.wall_seconds / state.steps / 60:.0f} left"
+    say(
+        f"{state.steps:>9,} steps  {_found(last)}  best score {state.best_score:8.6g}"
+        f"  {state.wall_seconds / 60:6.1f} min{left}"
+    )
 
 
 def _found(entry: dict[str, Any]) -> str:
@@ -207,13 +183,12 @@ def describe_trained(outcome: Trained, plan: Plan) -> tuple[str, ...]:
     if outcome.created:
         lines = ["trained", f"{variant}: {_made(outcome.record)}"]
     elif outcome.tried:
-        lines = ["kept", f"{variant}: {_made(outcome.record)}; not better: {_made(outcome.tried)}"]
-        if "score" in outcome.tried:
-            kept, reached = outcome.tried["kept_score"], outcome.tried["score"]
-            lines.append(
-                "  what counts is the mean of mean and lowest return, on the same episodes: "
-                f"{kept:.1f} and {reached:.1f}"
-            )
+        lines = [
+            "kept",
+            f"{variant}: {_made(outcome.record)}; not better: {_made(outcome.tried)}",
+            "  what counts is the mean of mean and lowest return, on the same episodes: "
+            f"{outcome.tried['kept_score']:.1f} and {outcome.tried['score']:.1f}",
+        ]
     else:
         lines = ["left alone", f"{variant}: it has an expert already"]
     evaluated = "evaluation" in outcome.record
@@ -260,9 +235,7 @@ def policies(
     robot: options.Robot = None,
     category: options.Category = None,
     with_base: options.WithBase = False,
-    summary: Annotated[
-        bool, option("--summary", "Print a line for each robot and category instead.")
-    ] = False,
+    summary: Annotated[bool, option("--summary", "Print a line for each robot and category.")] = False,
     as_json: options.AsJson = False,
 ) -> None:
     """List the experts and their returns.

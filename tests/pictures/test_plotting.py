@@ -20,16 +20,17 @@ from imujoco_minari.errors import DatasetError, DependencyError
 from imujoco_minari.pictures.plotting.datasets import (
     FIGURES,
     Series,
+    action_labels,
     draw_actions,
     draw_lengths,
     draw_observations,
     draw_returns,
     labels,
     load_series,
+    observation_labels,
     plot_datasets,
     with_bases,
 )
-from imujoco_minari.pictures.plotting.quantities import action_labels, observation_labels
 from imujoco_minari.pictures.plotting.scores import plot_scores
 from imujoco_minari.pictures.plotting.style import COLOURS, line_style, save
 from imujoco_minari.pictures.plotting.transfer import draw_transfer, plot_transfer
@@ -114,7 +115,7 @@ def test_datasets_of_one_name_have_their_whole_ids(root: Path, series: list[Seri
 
 def test_datasets_of_two_robots_are_refused(series: list[Series], tmp_path: Path) -> None:
     other = load_series(publish("walker2d-base", tier="random", episodes=1).dataset_id)
-    with pytest.raises(DatasetError, match="not of hopper and walker2d"):
+    with pytest.raises(DatasetError, match="a plot is of one robot"):
         plot_datasets([*series, other], tmp_path)
     assert list(tmp_path.glob("*.png")) == []
 

@@ -14,7 +14,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageDraw
 
 from imujoco_minari import combine_datasets, publish
 from imujoco_minari.cli.app import run
@@ -30,11 +30,13 @@ from imujoco_minari.errors import (
     VariantError,
 )
 from imujoco_minari.pictures import rendering
-from imujoco_minari.pictures.rendering import film, frame_steps, render_motions
+from imujoco_minari.pictures.gallery.clips import stance
+from imujoco_minari.pictures.rendering import frame_steps, render_motions
 from imujoco_minari.pictures.rendering.files import write_picture, write_video
 from imujoco_minari.pictures.rendering.film import (
     caption_height,
-    change,
+    captioned,
+    changes_in_words,
     contact_sheet,
     grid,
     sheet_steps,
@@ -49,10 +51,8 @@ from imujoco_minari.pictures.rendering.framing import (
     capsules,
     follow,
 )
-from imujoco_minari.pictures.rendering.motion import Motion, perform, replay
-from imujoco_minari.pictures.rendering.portraits import stance
+from imujoco_minari.pictures.rendering.motion import Motion, of_dataset, of_variant, perform, replay
 from imujoco_minari.pictures.rendering.scene import COLOURS, NEAR, scene_model
-from imujoco_minari.pictures.rendering.source import of_dataset, of_variant
 from imujoco_minari.policies import RandomPolicy
 from imujoco_minari.variants import ROBOTS, Variant, bases, catalogue, specification
 
@@ -267,7 +267,7 @@ def test_the_camera_model_is_mujocos(opengl: str) -> None:
     with Studio(320, 240, fine=False) as studio:
         seen = capsules(studio.model(variant), motion.positions)
         (camera,) = follow([seen], studio.aspect, motion.timestep)
-        picture = next(studio.shoot(variant, motion.positions[:1], camera)).astype(float)
+        picture = np.asarray(next(studio.shoot(variant, motion.positions[:1], camera))).astype(float)
     # The foot's capsule is the last geom; its colour is orange, and nothing else is.
     rows, columns = np.nonzero(picture[:, :, 0] - picture[:, :, 2] > 60)
     ends = project(camera, seen.ends, 4 / 3)[0][[3, 7]].mean(axis=0)
@@ -310,20 +310,28 @@ def test_the_colours_differ_from_each_other_and_from_the_robot() -> None:
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("hopper-base", "the unchanged robot"),
-        ("hopper-massdec_25_leggeom", "mass of leg_geom -25 %"),
-        ("hopper-jointdec_50_legjoint", "range of leg_joint -50 %"),
-        ("walker2d-frictioninc_50_feet", "friction of foot_geom, foot_left_geom +50 %"),
+        ("hopper-base", "unchanged"),
+        ("hopper-massdec_25_leggeom", "mass of leggeom -25 %"),
+        ("hopper-jointdec_50_legjoint", "range of legjoint -50 %"),
+        ("walker2d-frictioninc_50_feet", "friction of feet +50 %"),
     ],
 )
 def test_the_caption_says_what_changes(name: str, words: str) -> None:
-    assert change(Variant.parse(name)) == words
+    assert changes_in_words(Variant.parse(name)) == words
 
 
-def test_a_caption_that_has_no_room_does_not_grow() -> None:
+@pytest.mark.parametrize(
+    ("size", "text"),
     # A picture of 64 pixels asks for text of less than 6 pixels.
-    assert film._fitting_size("hopper-lengthinc_50_leggeom", 2.88, 5.0) == 2.88
-    assert film._fitting_size("hopper-lengthinc_50_leggeom", 30.0, 5.0) == 6.0
+    [((640, 480), [18.36, 21.6]), ((64, 64), [2.448, 2.88]), ((64, 480), [5.1, 6.0])],
+)
+def test_the_text_of_a_caption_shrinks_but_stays_readable(
+    size: tuple[int, int], text: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[float] = []
+    monkeypatch.setattr(ImageDraw.ImageDraw, "text", lambda *given, **_: drawn.append(given[4].size))
+    captioned(Image.new("RGB", size), HOPPER, "a title", "a state")
+    assert sorted(set(drawn)) == pytest.approx(text)
 
 
 # Frames
@@ -559,29 +567,13 @@ def test_the_command_renders_a_recorded_episode(
 ) -> None:
     published = publish(HOPPER, tier="random", episodes=2)
     target = tmp_path / "sheet.png"
-    assert (
-        run(
-            [
-                "render",
-                published.dataset_id,
-                "-e",
-                "1",
-                "--sheet",
-                "--size",
-                "96x80",
-                "-o",
-                str(target),
-                "--json",
-            ]
-        )
-        == 0
-    )
+    command = ["render", published.dataset_id, "--sheet", "--size", "96x80", "-o", str(target)]
+    assert run([*command, "-e", "1", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["path"] == str(target)
     assert told["motions"][0]["moved_by"] == "random, episode 1"
     assert told["motions"][0]["divergence"] == 0.0
     before = target.read_bytes()
-    command = ["render", published.dataset_id, "--sheet", "--size", "96x80", "-o", str(target)]
     assert run(command) == 1
     assert f"{target} is already there; it was left alone" in capsys.readouterr().err
     assert target.read_bytes() == before

@@ -342,7 +342,8 @@ def test_a_weak_outcome_says_what_may_do_better(
     record = dict(expert_record(LIGHT_LEG)) | {"start": start}
     mean = share * expert_record(BASE)["evaluation"]["return_mean"]
     record["evaluation"] = record["evaluation"] | {"return_mean": mean}
-    for outcome in (Trained(LIGHT_LEG, record, created=True), Trained(LIGHT_LEG, record, tried=record)):
+    tried = record | {"score": mean, "kept_score": mean}
+    for outcome in (Trained(LIGHT_LEG, record, created=True), Trained(LIGHT_LEG, record, tried=tried)):
         printed = " ".join(describe_trained(outcome, Plan(tmp_path)))
         assert (command in printed) if command else ("may do better" not in printed)
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from contextlib import suppress
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -16,12 +17,12 @@ from typing import Any
 from imujoco_minari.envs.differences import differences
 from imujoco_minari.errors import ImujocoError, RenderingError, StorageError
 from imujoco_minari.pictures.gallery import clips
-from imujoco_minari.pictures.gallery.entries import Entry, ResultTable, scores
+from imujoco_minari.pictures.gallery.entries import Clip, Entry, ResultTable, scores
 from imujoco_minari.pictures.gallery.pages import index_page, variant_page
 from imujoco_minari.pictures.rendering.files import check_format
 from imujoco_minari.pictures.rendering.studio import Studio
 from imujoco_minari.short_repr import short_repr
-from imujoco_minari.storage.files import write_text
+from imujoco_minari.storage.files import write_json, write_text
 from imujoco_minari.variants import Variant, catalogue, known_robots
 
 STATE = "gallery.json"
@@ -75,7 +76,8 @@ def build(
         for variant in order:
             known = state["variants"].setdefault(str(variant), {})
             try:
-                clip, key, new = clips.draw(variant, folder, studio, known)
+                drawn += clips.draw(variant, folder, studio, known)
+                clip = Clip(**known["clip"])
                 entry = Entry(variant, tuple(differences(variant)), scores(variant), clip)
             except (RenderingError, StorageError):
                 # These errors would stop every variant.
@@ -85,9 +87,7 @@ def build(
                 del state["variants"][str(variant)]
             else:
                 entries.append(entry)
-                drawn += new
-                known.update(key=key, clip=asdict(clip))
-                write_text(folder / STATE, json.dumps(state, indent=1) + "\n")
+                write_json(folder / STATE, state)
             if on_variant is not None:
                 on_variant()
     _write_pages(folder, entries, results or {})
@@ -121,12 +121,10 @@ def _read_state(folder: Path) -> dict[str, Any]:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise StorageError(f"{folder} is not a gallery and not empty: choose a new folder")
         return {"format": FORMAT, "variants": {}}
-    try:
+    with suppress(OSError, ValueError, KeyError, TypeError):
         state = json.loads(path.read_text("utf-8"))
         if state["format"] == FORMAT and isinstance(state["variants"], dict):
             return dict(state)
-    except (OSError, ValueError, KeyError, TypeError):
-        pass
     raise StorageError(
         f"{path} has another format than this version writes: remove it to draw the gallery again"
     )

@@ -7,26 +7,25 @@ draws only pictures with a new key. It needs no OpenGL if there are none.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
-from PIL import Image
 
-from imujoco_minari.envs.mjcf import canonical_mjcf, compile_mjcf, mjcf_sha256
+from imujoco_minari.envs.mjcf import Floats, canonical_mjcf, mjcf_sha256, variant_model
 from imujoco_minari.errors import PolicyNotFoundError
 from imujoco_minari.pictures.gallery.entries import Clip
 from imujoco_minari.pictures.rendering.files import write_picture, write_video
 from imujoco_minari.pictures.rendering.film import frames, stride
 from imujoco_minari.pictures.rendering.framing import Capsules, capsules, follow
 from imujoco_minari.pictures.rendering.motion import Motion, perform
-from imujoco_minari.pictures.rendering.portraits import stance
 from imujoco_minari.pictures.rendering.studio import Studio
 from imujoco_minari.policies import Policy, load_policy
 from imujoco_minari.policies.tiers import RANDOM
-from imujoco_minari.variants import EXPERT, Variant, catalogue
+from imujoco_minari.variants import EXPERT, Variant, catalogue, specification
 
 SIZE = (320, 240)
 SECONDS, FRAMES_PER_SECOND, QUALITY = 4.0, 20.0, 30
@@ -36,32 +35,22 @@ REST_SECONDS = 1.0
 STYLE = 2
 
 
-def draw(variant: Variant, folder: Path, studio: Studio, known: Mapping[str, Any]) -> tuple[Clip, str, bool]:
-    """Draw a variant's clip and portrait into a site, unless an earlier run has drawn the same.
+def draw(variant: Variant, folder: Path, studio: Studio, known: dict[str, Any]) -> bool:
+    """Draw a variant's clip and portrait into a site, and return whether it was necessary.
 
-    Args:
-        variant: the variant.
-        folder: the site's folder.
-        studio: the renderer.
-        known: ``key`` and ``clip`` of an earlier run, or empty.
-
-    Returns:
-        The content of the clip, its key, and whether it was drawn now.
-
-    Raises:
-        RenderingError: if no OpenGL works.
-        StorageError: if a file cannot be written.
-        PolicyError: if the variant's policy cannot be read.
+    ``known`` holds ``key`` and ``clip`` of an earlier run, or nothing. It is updated.
     """
     policy, tier = choose_policy(variant)
     key = clip_key(variant, policy)
     clip, portrait = folder / "clips" / f"{variant}.mp4", folder / "portraits" / f"{variant}.webp"
     if known.get("key") == key and clip.is_file() and portrait.is_file():
-        return Clip(**known["clip"]), key, False
+        return False
     motion = perform(variant, policy, seconds=SECONDS)
     write_clip(motion, studio, clip)
     write_portrait(variant, studio, portrait)
-    return Clip(tier, motion.duration, motion.total, motion.terminated), key, True
+    content = Clip(tier, motion.duration, motion.total, motion.terminated)
+    known.update(key=key, clip=asdict(content))
+    return True
 
 
 def write_clip(motion: Motion, studio: Studio, path: Path) -> None:
@@ -78,14 +67,40 @@ def write_portrait(variant: Variant, studio: Studio, path: Path) -> None:
     # The variants of other lengths are framed too, so all portraits of a robot have the same distance.
     seen = [_stance_capsules(each) for each in (variant, *catalogue(variant.robot, "length"))]
     camera = follow(seen, studio.aspect, 1.0)[0]
-    shot = next(studio.shoot(variant, [stance(variant)], camera))
-    write_picture(path, Image.fromarray(np.ascontiguousarray(shot)))
+    write_picture(path, next(studio.shoot(variant, [stance(variant)], camera)))
+
+
+def stance(variant: Variant) -> Floats:
+    """Return the positions (nq,) of a variant in its robot's stance, with its lowest point on the floor.
+
+    Angles are clipped to the ranges of the variant's joints.
+    """
+    model = variant_model(variant)
+    data, page = mujoco.MjData(model), specification(variant.robot)
+    for name, degrees in page.stance.items():
+        joint, angle = model.joint(name), np.radians(degrees)
+        data.qpos[joint.qposadr[0]] = np.clip(angle, *joint.range) if model.jnt_limited[joint.id] else angle
+    height = _height_index(model)
+    if height is not None:
+        seen = capsules(model, data.qpos[None])
+        data.qpos[height] -= (seen.ends[0, :, 2] - seen.radii).min()
+    return np.array(data.qpos)
+
+
+def _height_index(model: mujoco.MjModel) -> int | None:
+    """Return the index of the root's height in the positions; None for a robot that moves on a level."""
+    for joint in range(model.body_jntadr[1], model.body_jntadr[1] + model.body_jntnum[1]):
+        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
+            return int(model.jnt_qposadr[joint]) + 2
+        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE and model.jnt_axis[joint][2] == 1.0:
+            return int(model.jnt_qposadr[joint])
+    return None
 
 
 @cache
 def _stance_capsules(variant: Variant) -> Capsules:
     """Return the capsules of a variant in its stance."""
-    return capsules(compile_mjcf(canonical_mjcf(variant)), stance(variant)[None])
+    return capsules(variant_model(variant), stance(variant)[None])
 
 
 def choose_policy(variant: Variant) -> tuple[Policy, str]:

@@ -12,7 +12,7 @@ import numpy as np
 from imujoco_minari.envs.differences import Difference
 from imujoco_minari.errors import VariantError
 from imujoco_minari.policies import expert_record, random_policy
-from imujoco_minari.policies.evaluation import evaluate
+from imujoco_minari.policies.measuring import Episodes, measure
 from imujoco_minari.policies.tiers import RANDOM
 from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.storage.metadata import read_metadata
@@ -27,16 +27,9 @@ RANDOM_EPISODES = 10
 
 @dataclass(frozen=True)
 class Score:
-    """The score of one tier of a variant.
+    """The score of one tier of a variant: undiscounted returns, and the mean length in steps.
 
-    Attributes:
-        tier: name of the tier.
-        algorithm: algorithm that trained its policy.
-        return_mean: mean undiscounted return.
-        return_std: standard deviation of the return over episodes.
-        length_mean: mean length of an episode, in steps.
-        episodes: number of episodes.
-        origin: the source of the numbers, in a few words.
+    ``algorithm`` trained the policy. ``origin`` is the source of the numbers, in a few words.
     """
 
     tier: str
@@ -50,13 +43,9 @@ class Score:
 
 @dataclass(frozen=True)
 class Clip:
-    """The content of a variant's video.
+    """The content of a variant's video: the tier of the policy, the simulated seconds, and the return.
 
-    Attributes:
-        tier: tier of the policy.
-        seconds: length of the motion, in simulated seconds.
-        total: return of the motion.
-        ended: whether the episode ended because the robot left its healthy range.
+    ``ended`` is whether the episode ended because the robot left its healthy range.
     """
 
     tier: str
@@ -105,14 +94,14 @@ def scores(variant: Variant) -> tuple[Score, ...]:
     record = expert_record(variant)
     found: dict[str, Score] = {}
     if "evaluation" in record:
-        found[EXPERT] = _score_from_evaluation(EXPERT, str(record["algorithm"]), record["evaluation"])
+        found[EXPERT] = _score(EXPERT, str(record["algorithm"]), record["evaluation"])
     for score in published_scores(variant):
         found.setdefault(score.tier, score)
     if "random" in record:
-        found[RANDOM] = _score_from_evaluation(RANDOM, "uniform actions", record["random"])
+        found[RANDOM] = _score(RANDOM, "uniform actions", record["random"])
     elif RANDOM not in found:
-        outcome = evaluate(variant, random_policy(variant.robot), episodes=RANDOM_EPISODES).asdict()
-        found[RANDOM] = _score_from_evaluation(RANDOM, "uniform actions", outcome, "measured for this page")
+        outcome = measure(variant, random_policy(variant.robot), RANDOM_EPISODES, 0).asdict()
+        found[RANDOM] = _score(RANDOM, "uniform actions", outcome, "measured for this page")
     return tuple(sorted(found.values(), key=lambda score: -score.return_mean))
 
 
@@ -131,9 +120,7 @@ def published_scores(variant: Variant) -> Iterator[Score]:
                 continue
 
 
-def _score_from_evaluation(
-    tier: str, algorithm: str, evaluation: Any, origin: str = "evaluation of the policy"
-) -> Score:
+def _score(tier: str, algorithm: str, evaluation: Any, origin: str = "evaluation of the policy") -> Score:
     return Score(
         tier,
         algorithm,
@@ -152,12 +139,4 @@ def _score_from_dataset(data: Path, tier: str) -> Score:
         episodes = [file.episode_attributes(number, names) for number in file.numbers()]
     # A dataset without episodes has no columns, so this raises a ValueError.
     returns, lengths = np.array([[episode[name] for name in names] for episode in episodes], float).T
-    return Score(
-        tier,
-        algorithm,
-        float(returns.mean()),
-        float(returns.std()),
-        float(lengths.mean()),
-        len(returns),
-        "the published dataset",
-    )
+    return _score(tier, algorithm, Episodes(returns, lengths, ()).asdict(), "the published dataset")

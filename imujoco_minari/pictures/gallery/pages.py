@@ -14,6 +14,7 @@ from imujoco_minari.envs.categories import BY_NAME
 from imujoco_minari.envs.differences import Difference
 from imujoco_minari.pictures.gallery.clips import SIZE
 from imujoco_minari.pictures.gallery.entries import Entry, ResultTable, Score, normalised
+from imujoco_minari.pictures.rendering.film import changes_in_words
 from imujoco_minari.policies.tiers import RANDOM
 from imujoco_minari.variants import BASE, CATEGORIES, COMPOUND, EXPERT, Variant, specification
 
@@ -120,11 +121,7 @@ def summary(variant: Variant) -> str:
 
 def short(variant: Variant) -> str:
     """Return what a variant changes, in a few words."""
-    parts = (
-        f"{BY_NAME[change.category].noun} of {change.body} {_format_percent(change.percent)}"
-        for change in variant.changes
-    )
-    return ", ".join(parts) or "unchanged"
+    return changes_in_words(variant).replace("-", MINUS).replace(" %", f"{SPACE}%")
 
 
 def snippets(entry: Entry) -> list[tuple[str, str, str]]:
@@ -156,8 +153,8 @@ observation, reward, *flags = env.step(policy.act(observation, rng))"""
 
 def _search_words(variant: Variant) -> str:
     title = specification(variant.robot).title
-    words = (str(variant), title, variant.category, *variant.mjcf_names, short(variant))
-    return " ".join(words).lower().replace(SPACE, " ")
+    words = (str(variant), title, variant.category, *variant.mjcf_names, changes_in_words(variant))
+    return " ".join(words).lower()
 
 
 def _clip_words(entry: Entry) -> str:

@@ -11,11 +11,12 @@ from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import mujoco
 import numpy as np
 
-from imujoco_minari.errors import DatasetError
+from imujoco_minari.envs.mjcf import variant_model
+from imujoco_minari.errors import DatasetError, check_one_robot
 from imujoco_minari.loading import Arrays, arrays
-from imujoco_minari.pictures.plotting.quantities import action_labels, observation_labels
 from imujoco_minari.pictures.plotting.style import BASE_EDGE, BASE_FILL, line_style, new_figure, save
 from imujoco_minari.policies import Array
 from imujoco_minari.storage import minari_root
@@ -62,9 +63,8 @@ def load_series(dataset_id: str) -> Series:
         DatasetError: if its episodes are not all of one robot of this package, or hold NaN or infinity.
     """
     data = arrays(dataset_id, dtype=np.float32)
-    robots = sorted({origin.robot for origin in data.table})
-    if len(robots) != 1 or not robots[0]:
-        raise DatasetError(f"{dataset_id}: only episodes of one robot can be drawn, not of {robots}")
+    if not data.table[0].robot:
+        raise DatasetError(f"{dataset_id} cannot be drawn: it does not state its robot")
     for name in ("observations", "actions", "rewards"):
         if not np.isfinite(getattr(data, name)).all():
             raise DatasetError(f"{dataset_id} cannot be drawn: its {name} hold NaN or infinity")
@@ -105,11 +105,7 @@ def plot_datasets(
         DependencyError: if matplotlib is not installed.
         StorageError: if a file cannot be written.
     """
-    robots = sorted({one.robot for one in series})
-    if len(robots) != 1:
-        raise DatasetError(
-            f"plots compare datasets of one robot, not of {' and '.join(robots)}: plot each robot separately"
-        )
+    check_one_robot(((one.robot, one.dataset_id) for one in series), "a plot is of")
     files = []
     for name, draw in FIGURES.items():
         files += save(draw(series), folder / name)
@@ -151,6 +147,26 @@ FIGURES: dict[str, Callable[[Sequence[Series]], Figure]] = {
     "actions": draw_actions,
     "observations": draw_observations,
 }
+
+
+def observation_labels(robot: str) -> list[str]:
+    """Return the labels of an observation: positions without the travelled distance, then velocities."""
+    model = variant_model(Variant(robot))
+    positions, velocities = [], []
+    for number, kind in enumerate(model.jnt_type):
+        what, unit = ("angle", "rad") if kind == mujoco.mjtJoint.mjJNT_HINGE else ("position", "m")
+        name = model.joint(number).name
+        positions.append(f"{what} of {name} ({unit})")
+        velocities.append(f"velocity of {name} ({unit}/s)")
+    return positions[1:] + velocities
+
+
+def action_labels(robot: str) -> list[str]:
+    """Return the labels of an action: torques as shares of the motor's gear."""
+    model = variant_model(Variant(robot))
+    joints = [model.joint(number).name for number, _ in model.actuator_trnid]
+    gears = [gear for gear, *_ in model.actuator_gear]
+    return [f"action on {name} (1 = {gear:g} N m)" for name, gear in zip(joints, gears, strict=True)]
 
 
 def _line_styles(series: Sequence[Series]) -> list[dict[str, Any]]:

@@ -31,7 +31,7 @@ def plot_scores(
     stem: Path,
     reference: float | None = 1.0,
 ) -> list[Path]:
-    """Draw the scores of each method at the ticks, in a panel for each title; write PNG and SVG.
+    """Draw the scores of each method at the ticks, a panel for each title, into a PNG and an SVG file.
 
     They are curves with bands if the x axis has a label, or else bars with whiskers.
 
@@ -41,13 +41,6 @@ def plot_scores(
         labels: title of the figure, label of the x axis and of the y axis.
         stem: the files' path without ending.
         reference: height of a thin grey line; None for no line.
-
-    Returns:
-        The files.
-
-    Raises:
-        DependencyError: if matplotlib is not installed.
-        StorageError: if a file cannot be written.
     """
     title, x_label, y_label = labels
     draw = _draw_curve if x_label else _draw_bars

@@ -9,6 +9,7 @@ from pathlib import Path
 from PIL import Image
 
 from imujoco_minari.errors import RenderingFormatError, missing_dependency
+from imujoco_minari.pictures.rendering.film import grid
 from imujoco_minari.storage.files import whole_file
 
 FORMATS = (".mp4", ".gif", ".png")
@@ -85,10 +86,7 @@ def _write_mp4(path: Path, pictures: Iterator[Image.Image], per_second: float, q
 def _write_gif(path: Path, pictures: Iterator[Image.Image], per_second: float) -> None:
     drawn = list(pictures)
     # All frames share one palette. One palette per frame flickers and doubles the size.
-    few = drawn[:: max(1, len(drawn) // 4)]
-    sample = Image.new("RGB", (few[0].width, few[0].height * len(few)))
-    for number, picture in enumerate(few):
-        sample.paste(picture, (0, number * picture.height))
+    sample = grid(drawn[:: max(1, len(drawn) // 4)], columns=1)
     palette = sample.quantize(256, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
     reduced = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in drawn]
     reduced[0].save(path, save_all=True, append_images=reduced[1:], duration=round(1000 / per_second), loop=0)

@@ -15,7 +15,7 @@ from imujoco_minari.pictures.rendering.framing import Camera, capsules, follow
 from imujoco_minari.pictures.rendering.motion import Motion
 from imujoco_minari.pictures.rendering.scene import COLOURS
 from imujoco_minari.pictures.rendering.studio import Studio
-from imujoco_minari.variants import Variant, specification
+from imujoco_minari.variants import Variant
 
 FRAMES_PER_SECOND = 25.0
 INK, FAINT, PAPER = (28, 32, 38), (96, 104, 114), (255, 255, 255)
@@ -23,19 +23,13 @@ INK, FAINT, PAPER = (28, 32, 38), (96, 104, 114), (255, 255, 255)
 GAP = 4
 # The heights of caption and text as shares of a panel's height.
 CAPTION, TEXT = 0.125, 0.045
-# Number of pictures on a contact sheet.
+# Number of pictures on a contact sheet. A short motion has fewer.
 SHEET = 12
 
 
 def stride(motions: Sequence[Motion], per_second: float = FRAMES_PER_SECOND) -> int:
     """Return the steps between two frames, for about ``per_second`` frames a second in real time."""
     return max(1, round(1.0 / (per_second * motions[0].timestep)))
-
-
-def cameras(motions: Sequence[Motion], studio: Studio) -> list[Camera]:
-    """Return one camera per motion, with a place for each position. All have one distance."""
-    seen = [capsules(studio.model(motion.variant, motion.mjcf), motion.positions) for motion in motions]
-    return follow(seen, studio.aspect, motions[0].timestep)
 
 
 def frames(
@@ -51,9 +45,11 @@ def frames(
     A motion that ended before a step shows its last position, and its caption shows the time of the end.
     ``on_frame`` is called after each picture.
     """
+    seen = [capsules(studio.model(motion.variant, motion.mjcf), motion.positions) for motion in motions]
+    cameras = follow(seen, studio.aspect, motions[0].timestep)
     panels = [
         _draw_panel(motion, camera, studio, steps, captions)
-        for motion, camera in zip(motions, cameras(motions, studio), strict=True)
+        for motion, camera in zip(motions, cameras, strict=True)
     ]
     for pictures in zip(*panels, strict=True):
         picture = grid(pictures, len(pictures), GAP)
@@ -62,9 +58,9 @@ def frames(
         yield picture
 
 
-def sheet_steps(positions: int, count: int = SHEET) -> list[int]:
-    """Return at most ``count`` step numbers, evenly spaced from the first position to the last."""
-    return [int(step) for step in np.unique(np.linspace(0, positions - 1, count).round())]
+def sheet_steps(positions: int) -> list[int]:
+    """Return the steps on a contact sheet, evenly spaced from the first position to the last."""
+    return [int(step) for step in np.unique(np.linspace(0, positions - 1, SHEET).round())]
 
 
 def contact_sheet(pictures: Sequence[Image.Image]) -> Image.Image:
@@ -85,15 +81,10 @@ def grid(pictures: Sequence[Image.Image], columns: int, gap: int = 2 * GAP) -> I
     return whole
 
 
-def change(variant: Variant) -> str:
-    """Return what a variant changes, in words."""
-    parts = []
-    for change in variant.changes:
-        # The archive's bodies need not be ours.
-        known = specification(variant.robot).categories[change.category]
-        names = ", ".join(known.names(change.body)) or change.body
-        parts.append(f"{BY_NAME[change.category].noun} of {names} {change.percent:+g} %")
-    return ", ".join(parts) or "the unchanged robot"
+def changes_in_words(variant: Variant) -> str:
+    """Return what a variant changes, in a few words."""
+    parts = [f"{BY_NAME[each.category].noun} of {each.body} {each.percent:+g} %" for each in variant.changes]
+    return ", ".join(parts) or "unchanged"
 
 
 def caption_height(height: int) -> int:
@@ -111,9 +102,8 @@ def _draw_panel(
     places = Camera(camera.lookat[shown], camera.distance)
     earned = np.concatenate([[0.0], np.cumsum(motion.rewards)])
     positions = [motion.positions[step] for step in shown]
-    shots = studio.shoot(motion.variant, positions, places, motion.mjcf)
-    for step, shot in zip(shown, shots, strict=True):
-        picture = Image.fromarray(np.ascontiguousarray(shot))
+    pictures = studio.shoot(motion.variant, positions, places, motion.mjcf)
+    for step, picture in zip(shown, pictures, strict=True):
         over = step == last and motion.terminated
         if over:
             picture = Image.blend(picture, Image.new("RGB", picture.size, PAPER), 0.35)
@@ -135,31 +125,17 @@ def captioned(picture: Image.Image, variant: Variant, title: str = "", state: st
     draw = ImageDraw.Draw(whole)
     colour = COLOURS.get(variant.category)
     ink = FAINT if colour is None else tuple(round(170 * part) for part in colour)
-    margin, above, below = size * 0.5, strip * 0.08, strip * 0.52
-    room, right = picture.width - 2 * margin, picture.width - margin
-    for height, left_text, left_ink, right_text, right_ink in (
-        (above, str(variant), INK, title, FAINT),
-        (below, change(variant), ink, state, INK),
+    margin, smaller = size / 2, 0.85 * size
+    for height, left, left_ink, right, right_ink in (
+        (0.08 * strip, str(variant), INK, title, FAINT),
+        (0.52 * strip, changes_in_words(variant), ink, state, INK),
     ):
-        # The variants that change much have long names; the text on the right keeps up to half of the room.
-        wanted = _width(right_text, size * 0.85) + size
-        left = _fitting_size(left_text, size, room - min(wanted, room / 2) if right_text else room)
-        draw.text((margin, height), left_text, left_ink, _font(left))
-        fitting = _fitting_size(right_text, size * 0.85, room - _width(left_text, left) - size)
-        draw.text((right, height), right_text, right_ink, _font(fitting), "ra")
+        # A line that is wider than the picture is shrunk, but stays readable.
+        width = _font(size).getlength(left) + size + _font(smaller).getlength(right)
+        scale = min(1.0, max(6.0 / size, (picture.width - size) / width))
+        draw.text((margin, height), left, left_ink, _font(scale * size))
+        draw.text((picture.width - margin, height), right, right_ink, _font(scale * smaller), "ra")
     return whole
-
-
-def _fitting_size(text: str, size: float, room: float) -> float:
-    """Return a size of the font, or a smaller one if the text is wider than ``room`` pixels."""
-    width = _width(text, size)
-    return size if width <= room or room <= 0 else min(size, max(6.0, size * room / width))
-
-
-# The captions of a motion's frames differ in one text only.
-@lru_cache(maxsize=64)
-def _width(text: str, size: float) -> float:
-    return float(_font(size).getlength(text))
 
 
 @lru_cache(maxsize=16)

@@ -1,4 +1,4 @@
-"""The off-screen renderer: it draws positions of a model, seen by a camera, as arrays of pixels."""
+"""The off-screen renderer: it draws positions of a model, seen by a camera."""
 
 from __future__ import annotations
 
@@ -9,15 +9,13 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from PIL import Image
 
 from imujoco_minari.envs.gl import new_context
 from imujoco_minari.envs.mjcf import model_text
 from imujoco_minari.pictures.rendering.framing import AZIMUTH, ELEVATION, Camera
 from imujoco_minari.pictures.rendering.scene import scene_model
 from imujoco_minari.variants import Variant, bases
-
-Image = NDArray[np.uint8]
 
 
 class Studio:
@@ -74,8 +72,8 @@ class Studio:
 
     def shoot(
         self, variant: Variant, positions: Iterable[Any], camera: Camera, mjcf: str | None = None
-    ) -> Iterator[Image]:
-        """Yield a picture, of shape (height, width, 3), for each position and its place of the camera.
+    ) -> Iterator[Image.Image]:
+        """Yield a picture for each position and its place of the camera.
 
         Raises:
             RenderingError: if no OpenGL works.
@@ -95,7 +93,7 @@ class Studio:
             view.lookat[:] = lookat
             mujoco.mjv_updateScene(model, data, option, None, view, everything, scene)
             mujoco.mjr_render(rectangle, scene, context)
-            image = np.empty((self.height, self.width, 3), np.uint8)
-            mujoco.mjr_readPixels(image, None, rectangle, context)
+            pixels = np.empty((self.height, self.width, 3), np.uint8)
+            mujoco.mjr_readPixels(pixels, None, rectangle, context)
             # The first row of OpenGL is the lowest row of the picture.
-            yield image[::-1]
+            yield Image.fromarray(pixels[::-1])
