@@ -219,7 +219,7 @@ def verify_datasets(
     errors: list[ImujocoError] = []
     for dataset_id in chosen:
         try:
-            bar = progress(dataset_id, _episodes(dataset_id)) if replay else nullcontext(None)
+            bar = progress(dataset_id, _episodes(dataset_id)) if replay else nullcontext(lambda: None)
             with bar as advance:
                 results[dataset_id] = check(dataset_id, on_episode=advance)
         except ImujocoError as error:

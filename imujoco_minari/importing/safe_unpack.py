@@ -33,7 +33,7 @@ MAX_TOTAL_BYTES = 64 * 2**30
 # The arrays of one input are in memory together, as float64: 1 GiB, three million steps of HalfCheetah.
 MAX_NUMBERS = 2**27
 
-# The exceptions of zipfile and NumPy for broken files. Fuzzing found the last three.
+# The exceptions of zipfile and NumPy for broken files. Fuzzing found the last four.
 _BROKEN = (
     zipfile.BadZipFile,
     zlib.error,
@@ -45,6 +45,7 @@ _BROKEN = (
     tokenize.TokenError,
     LookupError,
     TypeError,
+    SyntaxError,
 )
 
 

@@ -106,6 +106,7 @@ def npz(path: Path, content: bytes, name: str = "data.npy") -> Path:
         (npy("{'descr': '<f8', 'fortran_order': False, 'shape': (4,)}", b"x" * 8), "ends after 8 of 32"),
         (npy("{'descr': '<f8', 'fortran_order': False, 'shape': (1,)}", b"x" * 8, b"\x09\x00"), "version"),
         (npy("__import__('os').system('true')", b"x" * 8), "not a readable zip"),
+        (npy("{'descr': ', 3), <f8', 'fortran_order': False, 'shape': (6, 3)}"), "not a readable zip"),
         (b"nothing", "not a readable zip"),
     ],
 )
