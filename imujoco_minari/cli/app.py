@@ -85,11 +85,11 @@ def _open_closed_streams() -> None:
 
 
 def _name_glfw_library() -> None:
-    """Name the library that the package glfw contains, unless the user names one. It opens no window here.
+    """Name the library that the package glfw contains, unless the user names one.
 
-    MuJoCo and Gymnasium import glfw. Without a name, glfw starts a Python process for every library that
-    it finds, to ask for its version. That takes 0.2 s, and a Ctrl-C in that time makes the process print
-    a traceback.
+    MuJoCo and Gymnasium import glfw, although the command line opens no window. Without a name, glfw starts
+    a Python process for every library that it finds, to ask for its version. That takes 0.2 s, and a Ctrl-C
+    in that time makes the process print a traceback.
     """
     package = find_spec("glfw")
     if package is not None and package.origin is not None:
@@ -163,7 +163,7 @@ def gather(
     as_json: bool,
     name: str = "dataset_id",
 ) -> None:
-    """Print the outcomes of a batch as they come and its failures at the end. If there are any, exit.
+    """Print the outcomes of a batch as they come, and its failures at the end. Exit if one failed.
 
     Args:
         outcomes: dataclasses with ``error``, which is empty for a success, and ``missing``.
