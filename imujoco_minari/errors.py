@@ -152,7 +152,7 @@ def unknown(what: str, word: object, choices: Iterable[str]) -> str:
 
 
 def listed(names: Sequence[str], shown: int = 4) -> str:
-    """Return the first names, and how many there are more."""
+    """Return the first names, and the number of the others."""
     more = f" and {len(names) - shown} more" if len(names) > shown else ""
     return ", ".join(names[:shown]) + more
 

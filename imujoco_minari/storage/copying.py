@@ -26,8 +26,8 @@ _DIGEST = file_format.DIGEST.encode()
 def copy_episodes(source: LinkedFiles, episodes: Sequence[int], target: h5py.File, origin: str) -> None:
     """Append the episodes with these numbers to a file, with all their attributes.
 
-    Each gets its new number as ``id``. If it has no ``source``, that is the dataset id ``origin``. If it has
-    no digests, it gets them.
+    Each episode gets its new number as ``id``. An episode without a ``source`` gets the dataset id
+    ``origin``, and an episode without digests gets them.
 
     Raises:
         KeyError: if an episode is missing.

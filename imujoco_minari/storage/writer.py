@@ -52,7 +52,7 @@ class EpisodeWriter(ExitStack):
         self._written = 0
 
     def add(self, episode: EpisodeBuffer) -> None:
-        """Write an episode when all with smaller numbers are written. One without a number is the next."""
+        """Write an episode after those with smaller numbers. An episode without a number is the next."""
         if self._file is None:
             self._file = self.enter_context(writing(self._path))
         self._waiting[self._written if episode.id is None else episode.id] = episode
