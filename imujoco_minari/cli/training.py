@@ -40,7 +40,9 @@ def train_variants(
     choice: VariantChoice,
     universal: Annotated[bool, option("--universal", "Train the universal policy of --robot.")] = False,
     scratch: Annotated[bool, option("--scratch", "Do not start from another agent.")] = False,
-    max_steps: Annotated[int | None, option("--max-steps N", "Environment steps at most.", min=1)] = None,
+    max_steps: Annotated[
+        int | None, option("--max-steps N", "Stop at the first evaluation after N steps.", min=1)
+    ] = None,
     target: Annotated[
         float | None, option("--target X", "Score to stop at: the mean of mean and lowest return.")
     ] = None,

@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar
@@ -176,11 +175,7 @@ def _parse(robot: str, page: Mapping[str, str], name: str) -> RobotSpecification
 
 def pages_folder() -> Path:
     """Return the folder of the shipped pages."""
-    try:
-        return Path(import_module("imujoco_minari.env_specs").__path__[0])
-    except ModuleNotFoundError:
-        # Python was started in a clone, whose folder `imujoco_minari` hides the installed package.
-        return Path(__file__).parents[2] / "env_specs"
+    return Path(__file__).parents[1] / "env_specs"
 
 
 def _shipped_pages() -> dict[str, RobotSpecification]:

@@ -392,6 +392,19 @@ def test_a_variant_that_fails_is_named_and_the_others_are_shown(
     assert str(LEG) not in index
 
 
+def test_a_site_of_which_every_variant_failed_can_be_continued(
+    tmp_path: Path, drawn: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(variant: Variant) -> Any:
+        raise PolicyError("the weights are torn")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(clips, "choose_policy", broken)
+        assert run(["gallery", str(tmp_path / "site"), str(LEG)]) == 1
+    assert run(["gallery", str(tmp_path / "site"), str(LEG)]) == 0
+    assert str(LEG) in (tmp_path / "site" / "index.html").read_text("utf-8")
+
+
 def test_the_first_page_names_the_robots_and_the_colours_that_it_shows(
     tmp_path: Path, drawn: list[str]
 ) -> None:

@@ -5,14 +5,17 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import minari
 import numpy as np
 import pytest
+from PIL import Image
 
 import imujoco_minari
 from imujoco_minari.envs.differences import differences
 from imujoco_minari.errors import CatalogueError, CatalogueWarning
+from imujoco_minari.pictures.gallery.clips import write_portrait
 from imujoco_minari.pictures.rendering.scene import scene_model
 from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.training.sweep import train
@@ -114,6 +117,16 @@ def test_a_fixed_robot_is_trained(folder: Path, tmp_path: Path) -> None:
     episodes = dict.fromkeys((f"{kind}_episodes" for kind in ("choosing", "deciding", "confirming")), 1)
     plan = Plan(tmp_path / "state", tmp_path / "policies", changes=changes | episodes)  # type: ignore[arg-type]
     assert train(Variant("arm"), plan).created
+
+
+def test_a_robot_whose_page_lists_no_lengths_has_a_portrait(folder: Path, tmp_path: Path) -> None:
+    page = folder / "arm.toml"
+    page.write_text(page.read_text().replace("[length]", "[size]"))
+    imujoco_minari.load_catalogue(page)
+    pictures = iter([Image.new("RGB", (8, 8))])
+    studio = SimpleNamespace(aspect=1.0, shoot=lambda variant, poses, camera: pictures)
+    write_portrait(catalogue("arm")[0], studio, tmp_path / "arm.webp")  # type: ignore[arg-type]
+    assert (tmp_path / "arm.webp").is_file()
 
 
 def test_a_longer_limb_moves_what_hangs_on_it_and_nothing_else(folder: Path) -> None:

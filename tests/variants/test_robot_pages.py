@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import sys
 from pathlib import Path
 
 import gymnasium as gym
@@ -15,7 +14,6 @@ import imujoco_minari
 from imujoco_minari.errors import CatalogueError
 from imujoco_minari.training.hyperparameters import SCRATCH, hyperparameters
 from imujoco_minari.variants import CATEGORIES, ROBOTS, known_robots, parse_specification, specification
-from imujoco_minari.variants.robots import pages_folder
 
 PACKAGE = Path(imujoco_minari.__file__).parent
 
@@ -145,11 +143,3 @@ def test_no_table_of_robots_stands_outside_the_pages(tmp_path: Path) -> None:
     other = tmp_path / "other.py"
     other.write_text('SIZES = {"hopper": (11, 3), "walker2d": (17, 6)}')
     assert robot_tables(other) == [1]
-
-
-def test_the_pages_are_found_from_a_clone_that_hides_the_installed_package(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    installed = pages_folder()
-    monkeypatch.setitem(sys.modules, "imujoco_minari.env_specs", None)
-    assert pages_folder().resolve() == (PACKAGE.parent / "env_specs").resolve() == installed.resolve()

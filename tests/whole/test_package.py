@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 import pkgutil
 import re
 import subprocess
@@ -125,3 +126,11 @@ def test_a_missing_import_is_found() -> None:
     source = "import imujoco_minari.nothing\ndef f():\n    from imujoco_minari.envs import nothing, make\n"
     assert missing_imports(source) == ["imujoco_minari.nothing", "imujoco_minari.envs.nothing"]
     assert "generate-docs" in [path.name for path in SCRIPTS]
+
+
+def test_a_script_beside_the_clone_imports_the_package(tmp_path: Path) -> None:
+    (tmp_path / "imujoco_minari").mkdir()  # as the clone's own folder
+    (tmp_path / "script.py").write_text("import imujoco_minari; print(imujoco_minari.load_policy.__module__)")
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    shown = subprocess.check_output([sys.executable, "script.py"], cwd=tmp_path, env=environment, text=True)
+    assert shown.startswith("imujoco_minari.")

@@ -73,6 +73,8 @@ def build(
     order = _sort_by_catalogue(_site_variants(variants, state))
     entries, failed, drawn = [], {}, 0
     with Studio(*clips.SIZE, fine=False) as studio:
+        # Before the first picture, so that a run which ends early can be continued.
+        write_json(folder / STATE, state)
         for variant in order:
             known = state["variants"].setdefault(str(variant), {})
             try:

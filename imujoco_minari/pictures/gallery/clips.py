@@ -65,7 +65,8 @@ def write_clip(motion: Motion, studio: Studio, path: Path) -> None:
 def write_portrait(variant: Variant, studio: Studio, path: Path) -> None:
     """Write a picture of a variant in its stance."""
     # The variants of other lengths are framed too, so all portraits of a robot have the same distance.
-    seen = [_stance_capsules(each) for each in (variant, *catalogue(variant.robot, "length"))]
+    lengths = (other for other in catalogue(variant.robot) if other.category == "length")
+    seen = [_stance_capsules(each) for each in (variant, *lengths)]
     camera = follow(seen, studio.aspect, 1.0)[0]
     write_picture(path, next(studio.shoot(variant, [stance(variant)], camera)))
 

@@ -27,7 +27,7 @@ def index_page(entries: Sequence[Entry]) -> str:
     changes = [change for variant in variants for change in variant.changes]
     categories = {variant.category for variant in variants} | {BASE}
     robots = {variant.robot: specification(variant.robot).title for variant in variants}
-    *titles, last_title = robots.values()
+    *titles, last_title = robots.values() or ["nothing"]
     base_of = {entry.variant: entry for entry in entries if entry.variant.category == BASE}
     return _render(
         "index.html",
