@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 TINY: dict[str, Any] = {
+    "search_generations": 0,
     "exploration_steps": 150,
     "evaluate_every": 100,
     "max_steps": 350,

@@ -114,10 +114,14 @@ class UniversalPolicy:
 
     def fold(self, variant: Variant) -> Actor:
         """Return the policy that is told this variant: an actor of the observation alone."""
+        return self.fold_context(self.context(variant))
+
+    def fold_context(self, context: Array) -> Actor:
+        """Return the policy that is told a context (parameters,): an actor of the observation alone."""
         weights = dict(self.actor.weights)
         size = specification(self.robot).observation_size
         first = weights[FIRST_WEIGHT].astype(np.float64)
-        bias = weights[FIRST_BIAS] + first[:, size:] @ self.context(variant)
+        bias = weights[FIRST_BIAS] + first[:, size:] @ context
         weights |= {
             FIRST_WEIGHT: np.ascontiguousarray(weights[FIRST_WEIGHT][:, :size], np.float32),
             FIRST_BIAS: bias.astype(np.float32),

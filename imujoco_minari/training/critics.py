@@ -7,9 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from imujoco_minari.policies import Array
-from imujoco_minari.policies.universal import UniversalPolicy
 from imujoco_minari.training.agents import CRITICS
-from imujoco_minari.variants import Variant, specification
+from imujoco_minari.variants import specification
 
 # The epsilon of SBX's batch normalisation.
 _EPSILON = 1e-3
@@ -47,16 +46,13 @@ def with_context(agent: Mapping[str, Array], contexts: Array, robot: str) -> dic
     return arrays
 
 
-def fold_critics(
-    universal: UniversalPolicy, variant: Variant, arrays: Mapping[str, Array]
-) -> dict[str, Array]:
-    """Return the critics that are told a variant, as critics of observation and action alone.
+def fold_critics(robot: str, told: Array, arrays: Mapping[str, Array]) -> dict[str, Array]:
+    """Return the critics that are told a context, as critics of observation and action alone.
 
     The normalised context is constant, so its part of the first layer is a constant that is added to the
     bias: exact with the normalisation's running statistics, which critics use when they judge.
     """
-    first = specification(variant.robot).observation_size
-    told = universal.context(variant)
+    first = specification(robot).observation_size
     rows = slice(first, first + len(told))
     mean, var = (arrays[f"{_STATISTICS}/{name}"][:, rows].astype(np.float64) for name in ("mean", "var"))
     scale, bias = (arrays[f"{_SCALING}/{name}"][:, rows].astype(np.float64) for name in ("scale", "bias"))

@@ -15,10 +15,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from imujoco_minari.envs.registration import max_episode_steps
 from imujoco_minari.policies import Actor, Array
 from imujoco_minari.policies.evaluation import evaluate
-from imujoco_minari.policies.universal import FIRST_WEIGHT, UniversalPolicy
+from imujoco_minari.policies.universal import FIRST_WEIGHT
 from imujoco_minari.training.agents import as_stored, import_jax
 from imujoco_minari.training.lanes import Lanes
 from imujoco_minari.training.updates import actor_outputs
@@ -82,24 +81,6 @@ def best_teacher(variant: Variant, candidates: Sequence[Actor], base_return: flo
     measured = [returns(policy, 4) for policy in candidates]
     best = int(np.argmax(measured))
     return Lesson(variant, candidates[best], measured[best] / base_return)
-
-
-def best_told(universal: UniversalPolicy, variant: Variant, others: Sequence[Variant]) -> list[Variant]:
-    """Return the three of the others that a universal policy should be told to do best in a variant.
-
-    One episode decides. The variant itself is not always best: told a lighter leg, a policy may run faster.
-    """
-    contexts = np.array([universal.context(other) for other in others])
-    lanes = Lanes(variant.robot, len(others), lambda lane, episode: variant, TEACHER_SEED, told=False)
-    lanes.restart()
-    returns, alive = np.zeros(len(others)), np.ones(len(others), bool)
-    for _ in range(max_episode_steps(variant.robot) or _STEPS):
-        inputs = np.concatenate([lanes.observations, contexts], axis=1, dtype=np.float32)
-        stepped = lanes.step(np.tanh(universal.actor.distribution(inputs)[0]))
-        returns += alive * stepped.rewards
-        alive &= ~stepped.terminated
-    lanes.close()
-    return [others[index] for index in np.argsort(-returns)[:3]]
 
 
 def distil(

@@ -1,8 +1,8 @@
 """The agent that a variant's training starts from: the folded one, or the base's where that scores higher.
 
 The universal policy is told the variant, so its folded actor is the expert that the variant has without
-training. Actors that are told another listed variant are tried too. The critics are folded the same way. A
-robot without a universal policy starts from its base's agent.
+training. Actors that are told another listed variant or a searched context are tried too. The critics are
+folded the same way. A robot without a universal policy starts from its base's agent.
 """
 
 from __future__ import annotations
@@ -16,16 +16,18 @@ from imujoco_minari.policies.experts import FOLDED
 from imujoco_minari.policies.universal import universal_name
 from imujoco_minari.training.agents import actor_of, agent_actor, load_arrays, replace_actor
 from imujoco_minari.training.critics import fold_critics
-from imujoco_minari.training.distilling import best_told
 from imujoco_minari.training.selection import score
 from imujoco_minari.training.task import Start
+from imujoco_minari.training.telling import SEARCHED, best_told, searched
 from imujoco_minari.variants import Variant, catalogue
 
-EPISODES, START_SEED = 5, 1_000_005
+EPISODES, START_SEED = 20, 1_000_005
 
 
-def best_start(variant: Variant, policies: Path) -> Start:
+def best_start(variant: Variant, policies: Path, generations: int) -> Start:
     """Return the better start for a variant: the folded agent, or the base's.
+
+    ``generations`` is the length of the search for a context that the universal policy should be told.
 
     Raises:
         PolicyNotFoundError: if the base's agent does not exist.
@@ -41,12 +43,14 @@ def best_start(variant: Variant, policies: Path) -> Start:
     universal = universal_policy(variant.robot, policies)
     if universal is not None:
         own = agent_file(universal_name(variant.robot), policies)
-        known = [variant.base, *catalogue(variant.robot)]
-        # Told another variant, it is sometimes better.
-        for told in dict.fromkeys([variant, *best_told(universal, variant, known)]):
-            critics = {} if own is None else fold_critics(universal, told, load_arrays(own))
-            agent = replace_actor(base_agent | critics, universal.fold(told).weights)
-            starts.append(Start(FOLDED, agent, universal.sha256, str(told)))
+        critics = {} if own is None else load_arrays(own)
+        others = best_told(universal, variant, [variant.base, *catalogue(variant.robot)])
+        contexts = [(str(each), universal.context(each)) for each in dict.fromkeys([variant, *others])]
+        found = searched(universal, variant, universal.context(others[0]), generations)
+        for told, context in [*contexts, *((SEARCHED, each) for each in found)]:
+            folded = fold_critics(variant.robot, context, critics) if critics else {}
+            agent = replace_actor(base_agent | folded, universal.fold_context(context).weights)
+            starts.append(Start(FOLDED, agent, universal.sha256, told))
     for start in starts:
         actor = actor_of(agent_actor(start.agent), variant.robot)
         start.score = score(evaluate(variant, actor, episodes=EPISODES, seed=START_SEED).asdict())

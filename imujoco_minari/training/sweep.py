@@ -148,7 +148,8 @@ def task(variant: Variant, plan: Plan) -> Task:
     if plan.scratch or (variant.category == BASE and not improving):
         settings = hyperparameters(variant.robot, SCRATCH, **plan.changes)
         return Task(variant, settings, plan.seed, target=target)
-    start = best_start(variant, plan.policies)
+    generations = hyperparameters(variant.robot, WARM, **plan.changes).search_generations
+    start = best_start(variant, plan.policies, generations)
     needed_score = TARGET_SHARE * mean_return(own_record(variant.base, plan.policies))
     if plan.target is None and not plan.improve:
         target = needed_score

@@ -84,7 +84,7 @@ class Start:
         name: a base, ``universal policy`` or ``scratch``.
         agent: its arrays; empty from scratch.
         sha256: digest of its policy, from its record.
-        told: the variant that the universal policy is told; empty for a base's agent.
+        told: what the universal policy is told: a variant or a searched context; empty for a base's agent.
         score: score of its evaluation on the variant; -inf if not evaluated.
     """
 

@@ -42,7 +42,6 @@ from imujoco_minari.training.distilling import (
     Distilling,
     Lesson,
     best_teacher,
-    best_told,
     distil,
     with_unused_context,
 )
@@ -51,6 +50,7 @@ from imujoco_minari.training.run import OnInterval, Run, do_nothing, versions
 from imujoco_minari.training.selection import score, universal_of
 from imujoco_minari.training.sweep import Trained, lock_folder
 from imujoco_minari.training.task import Distribution, Plan, Start, Task
+from imujoco_minari.training.telling import best_told
 from imujoco_minari.variants import Change, Variant, catalogue
 from imujoco_minari.variants.context import parameters
 from imujoco_minari.variants.off_dynamics import off_dynamics, off_dynamics_names

@@ -56,7 +56,7 @@ def test_folded_critics_judge_as_those_that_are_told() -> None:
     rng, universal = np.random.default_rng(0), universal_policy("hopper")
     assert universal is not None
     arrays = told_critics(rng)
-    folded = fold_critics(universal, VARIANT, arrays)
+    folded = fold_critics("hopper", universal.context(VARIANT), arrays)
     seen, actions = rng.normal(size=(20, 11)), rng.uniform(-1, 1, size=(20, 3))
     told = np.tile(universal.context(VARIANT), (20, 1))
     whole = critic(arrays, np.concatenate([seen, told, actions], axis=1))
@@ -81,7 +81,7 @@ def test_the_better_one_is_the_start(value: float, found: str, monkeypatch: pyte
         return Evaluation(np.full(episodes, value if is_folded else 40.0), np.ones(episodes), (), seed, True)
 
     monkeypatch.setattr(starts, "evaluate", evaluate)
-    start = best_start(VARIANT, Path("nowhere"))
+    start = best_start(VARIANT, Path("nowhere"), 0)
     assert (start.name, start.score) == (found, max(value, 40.0))
     if found == FOLDED:
         assert start.sha256 == expert_record(VARIANT)["universal_sha256"]
@@ -94,4 +94,4 @@ def test_the_better_one_is_the_start(value: float, found: str, monkeypatch: pyte
 
 def test_a_robot_without_a_universal_policy_starts_from_its_base(unshipped: None, tmp_path: Path) -> None:
     with pytest.raises(PolicyNotFoundError, match="`imujoco train hopper-base` first"):
-        best_start(VARIANT, tmp_path)
+        best_start(VARIANT, tmp_path, 0)

@@ -68,6 +68,8 @@ def test_the_better_of_own_and_folded_is_the_expert(
 ) -> None:
     unlisted = Variant.parse("hopper-massdec_26_leggeom")
     monkeypatch.setattr(sweep, "folded_score", lambda *_: -1e9 if better else 1e9)
+    start = replace(sweep.best_start(unlisted, tmp_path, 0), told=str(LIGHT_LEG))
+    monkeypatch.setattr(sweep, "best_start", lambda *_: start)
     plan = Plan(tmp_path / "state", changes=TINY, target=1e9)
     (outcome,) = train_all([unlisted], plan)
     assert (outcome.created, outcome.error) == (better, "")
@@ -87,8 +89,8 @@ def test_a_start_from_the_universal_policy_is_an_expert_of_its_own_if_it_was_tol
 ) -> None:
     unlisted = Variant.parse("hopper-massdec_26_leggeom")
     told = str(LIGHT_LEG if other else unlisted)
-    start = replace(sweep.best_start(unlisted, tmp_path), name=FOLDED, told=told)
-    monkeypatch.setattr(sweep, "best_start", lambda variant, policies: start)
+    start = replace(sweep.best_start(unlisted, tmp_path, 0), name=FOLDED, told=told)
+    monkeypatch.setattr(sweep, "best_start", lambda *_: start)
     monkeypatch.setattr(sweep, "folded_score", lambda *_: -1e9)
     (outcome,) = train_all([unlisted], Plan(tmp_path / "state", changes=TINY, target=-1e9))
     assert (outcome.created, outcome.error) == (other, "")
@@ -319,8 +321,8 @@ def test_a_near_start_takes_smaller_steps_and_is_held(
     share: float, rate: float, anchor: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked = 0.96 * expert_record(BASE)["evaluation"]["return_mean"]
-    start = replace(sweep.best_start(LIGHT_LEG, tmp_path), score=share * asked)
-    monkeypatch.setattr(sweep, "best_start", lambda variant, policies: start)
+    start = replace(sweep.best_start(LIGHT_LEG, tmp_path, 0), score=share * asked)
+    monkeypatch.setattr(sweep, "best_start", lambda *_: start)
     task = sweep.task(LIGHT_LEG, Plan(tmp_path))
     assert task.target == pytest.approx(asked)
     assert task.settings.anchor == anchor

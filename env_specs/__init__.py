@@ -1,1 +1,0 @@
-"""The robots, one TOML page for each. Data only; :mod:`imujoco_minari.variants.robots` reads them."""

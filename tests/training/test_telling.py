@@ -1,0 +1,70 @@
+"""What a universal policy should be told: listed variants are compared, and a search goes beyond them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imujoco_minari.policies import Actor, universal_policy
+from imujoco_minari.policies.evaluation import Evaluation, evaluate
+from imujoco_minari.policies.experts import FOLDED
+from imujoco_minari.training import starts, telling
+from imujoco_minari.training.starts import best_start
+from imujoco_minari.training.telling import SEARCHED, best_told, searched
+from imujoco_minari.variants import Variant
+
+HEAVY = Variant.parse("hopper-massinc_100_torsogeom")
+
+
+def test_a_universal_policy_is_told_what_makes_it_act_best() -> None:
+    policy = universal_policy("hopper")
+    assert policy is not None
+    others = [
+        Variant.parse(f"hopper-{name}") for name in ("gravityinc_100_world", "gravitydec_50_world", "base")
+    ]
+    found = best_told(policy, HEAVY, [*others, HEAVY])
+    assert len(found) == 3
+    returns = {each: evaluate(HEAVY, policy.fold(each), episodes=1, seed=0).return_mean for each in found}
+    (left_out,) = {*others, HEAVY} - set(found)
+    left = evaluate(HEAVY, policy.fold(left_out), episodes=1, seed=0).return_mean
+    assert left < min(returns.values())
+
+
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Episodes of 100 steps, so that a generation takes a moment."""
+    monkeypatch.setattr(telling, "max_episode_steps", lambda robot: 100)
+    monkeypatch.setattr(telling, "_EVERY", 4)
+
+
+def test_a_search_finds_what_a_bad_context_lacks(short: None) -> None:
+    pytest.importorskip("cmaes")
+    policy = universal_policy("hopper")
+    assert policy is not None
+    # Told that gravity is far stronger, the policy acts worse than when it is told the truth.
+    bad = policy.context(Variant.parse("hopper-gravityinc_100_world"))
+    first, last = searched(policy, HEAVY, bad, 8)
+    assert first.shape == last.shape == bad.shape
+    before, after = telling._returns(policy, HEAVY, np.array([bad, last]), seed=0)
+    assert after > before
+    again = searched(policy, HEAVY, bad, 4)
+    np.testing.assert_array_equal(again[0], first)
+
+
+def test_a_searched_context_is_a_start(short: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("sbx")
+    policy = universal_policy("hopper")
+    assert policy is not None
+    asked = policy.context(HEAVY) + 0.01
+    monkeypatch.setattr(starts, "searched", lambda *_: [asked])
+    sought = policy.fold_context(asked).weights["latent_pi.0.bias"].astype(np.float16)
+
+    def evaluated(variant: Variant, actor: Actor, *, episodes: int, seed: int) -> Evaluation:
+        is_sought = np.array_equal(actor.weights["latent_pi.0.bias"].astype(np.float16), sought)
+        return Evaluation(np.full(episodes, float(is_sought)), np.ones(episodes), (), seed, True)
+
+    monkeypatch.setattr(starts, "evaluate", evaluated)
+    start = best_start(HEAVY, Path("nowhere"), 1)
+    assert (start.name, start.told, start.sha256) == (FOLDED, SEARCHED, policy.sha256)
