@@ -63,8 +63,8 @@ def train_variants(
 ) -> None:
     """Train an expert for each variant.
 
-    A variant starts from the robot's universal policy or from its base robot's agent, whichever is better,
-    and a base robot starts from scratch. The variants need not be in the catalogue. A killed run continues
+    A variant starts from the robot's universal policy or from its base robot's agent, whichever is better. The
+    choice takes some minutes. A base robot starts from scratch. The variants need not be in the catalogue. A killed run continues
     where it stopped, and a finished one is trained again only with --improve. The command goes on after a
     failure and names the failures at the end. Policies are written to your own policies folder, or to the
     folder --output.
@@ -132,7 +132,7 @@ def _trained(chosen: list[Variant], plan: Plan, jobs: int, backend: str | None) 
 
     if len(chosen) == 1 and backend is None:
         os.nice(plan.nice)
-        yield train(chosen[0], plan, _tell)
+        yield train(chosen[0], plan, _tell, say)
         return
     outcomes = train_all(chosen, plan, jobs=jobs, backend=backend)
     yield from advancing(outcomes, "training", len(chosen))

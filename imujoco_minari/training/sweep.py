@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
@@ -56,7 +56,12 @@ class Trained:
     missing: bool = False
 
 
-def train(variant: Variant, plan: Plan, on_interval: OnInterval = do_nothing) -> Trained:
+def train(
+    variant: Variant,
+    plan: Plan,
+    on_interval: OnInterval = do_nothing,
+    say: Callable[[str], None] = lambda line: None,
+) -> Trained:
     """Train one variant, or resume its training, and install its policy if it is the best one.
 
     The expert of a variant is the better of its own and the folded one. If the folded one stays the expert,
@@ -66,6 +71,7 @@ def train(variant: Variant, plan: Plan, on_interval: OnInterval = do_nothing) ->
         variant: any variant of the grammar.
         plan: the settings.
         on_interval: called with the progress and the task of a run after every interval.
+        say: called with a line before long work.
 
     Raises:
         PolicyNotFoundError: if the agent to start from does not exist.
@@ -85,7 +91,7 @@ def train(variant: Variant, plan: Plan, on_interval: OnInterval = do_nothing) ->
             tried = json.loads(beaten.read_text("utf-8"))
             if tried["not_better_than"] == present.get("weights_sha256"):
                 return Trained(variant, present, tried=tried)
-        with closing(Run(task(variant, plan), folder, device=plan.device)) as run:
+        with closing(Run(task(variant, plan, say), folder, device=plan.device)) as run:
             run.train(on_interval)
             record, reached = run.make_record(), run.progress.best_score
         # The episodes of the records' evaluations select nothing, so those of the selection compare.
@@ -141,7 +147,7 @@ def _train_or_report(variant: Variant, plan: Plan) -> Trained:
         return Trained(variant, error=str(error), missing=error.missing)
 
 
-def task(variant: Variant, plan: Plan) -> Task:
+def task(variant: Variant, plan: Plan, say: Callable[[str], None] = lambda line: None) -> Task:
     """Return the run of a variant under a plan: its start, target and hyperparameters."""
     target = float("inf") if plan.target is None else plan.target
     improving = plan.improve and bool(own_record(variant, plan.policies))
@@ -149,6 +155,7 @@ def task(variant: Variant, plan: Plan) -> Task:
         settings = hyperparameters(variant.robot, SCRATCH, **plan.changes)
         return Task(variant, settings, plan.seed, target=target)
     generations = hyperparameters(variant.robot, WARM, **plan.changes).search_generations
+    say(f"choosing the start of {variant}, which takes some minutes")
     start = best_start(variant, plan.policies, generations)
     needed_score = TARGET_SHARE * mean_return(own_record(variant.base, plan.policies))
     if plan.target is None and not plan.improve:
