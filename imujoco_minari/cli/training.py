@@ -63,11 +63,11 @@ def train_variants(
 ) -> None:
     """Train an expert for each variant.
 
-    A variant starts from the robot's universal policy or from its base robot's agent, whichever is better. The
-    choice takes some minutes. A base robot starts from scratch. The variants need not be in the catalogue. A killed run continues
-    where it stopped, and a finished one is trained again only with --improve. The command goes on after a
-    failure and names the failures at the end. Policies are written to your own policies folder, or to the
-    folder --output.
+    A variant starts from the robot's universal policy or from its base robot's agent, whichever is better.
+    The choice takes some minutes. A base robot starts from scratch. The variants need not be in the
+    catalogue. A killed run continues where it stopped, and a finished one is trained again only with
+    --improve. The command goes on after a failure and names the failures at the end. Policies are written
+    to your own policies folder, or to the folder --output.
 
     With --universal, one policy of the robot is trained that is told its variant. It acts in every variant
     that has no expert of its own. It is trained in many variants first, which takes an hour. Then the best
