@@ -9,6 +9,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from random_actors import random_actor
 from safetensors.numpy import save_file
@@ -25,7 +26,7 @@ from imujoco_minari.policies.tiers import parts
 from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.storage.metadata import read_metadata
 from imujoco_minari.training.run import CONFIRMING_SEED
-from imujoco_minari.variants import Variant, catalogue
+from imujoco_minari.variants import ROBOTS, Variant, catalogue
 
 # Not those of the person who runs the tests.
 SHIPPED = expert_variants(shipped_folder())
@@ -49,6 +50,16 @@ def test_a_record_is_of_the_weights_beside_it(variant: Variant) -> None:
     assert len(record["ladder"]) >= 4
     for rung in record["ladder"]:
         read_rung(variant, rung).check(variant.robot)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_every_listed_variant_has_weights_of_its_own(robot: str) -> None:
+    owners: dict[bytes, Variant] = {}
+    for variant in (Variant(robot), *catalogue(robot)):
+        weights = expert_actor(variant).weights
+        # Own experts are stored in float16, so policies that differ by less are the same.
+        stored = b"".join(weights[name].astype(np.float16).tobytes() for name in sorted(weights))
+        assert owners.setdefault(stored, variant) == variant
 
 
 @pytest.mark.parametrize("variant", SAMPLE, ids=str)
