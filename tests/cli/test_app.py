@@ -51,7 +51,8 @@ def test_show_tells_the_change_in_numbers(capsys: pytest.CaptureFixture[str]) ->
             "universal policy told hopper-massinc_50_footgeom, not trained further",
         ),
         ("walker2d-jointdec_50_thighjoint", "walker2d-jointdec_50_thighjoints, not trained further"),
-        ("halfcheetah-lengthdec_25_bthigh", "55,000 steps from halfcheetah-base, seed 0"),
+        ("halfcheetah-lengthdec_25_bthigh", "universal policy told a searched context, not trained further"),
+        ("halfcheetah-lengthinc_50_fshin", "105,000 steps from halfcheetah-all, seed 0"),
         ("hopper-massinc_100_thighgeom", "the universal policy, told this variant; no own training"),
     ],
 )
