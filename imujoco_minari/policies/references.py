@@ -22,6 +22,7 @@ from imujoco_minari.policies.rungs import (
     mean_return,
     read_rung,
     rungs_of_robot,
+    share_of,
 )
 from imujoco_minari.policies.uniform import random_policy
 from imujoco_minari.variants import Variant
@@ -83,7 +84,7 @@ def weakness_of(variant: Variant) -> str:
     if not is_folded(record) or "evaluation" not in base:
         return ""
     evaluation = record["evaluation"]
-    share = evaluation["return_mean"] / base["evaluation"]["return_mean"]
+    share = share_of(evaluation["return_mean"], base)
     falls = evaluation["length_mean"] < base["evaluation"]["length_mean"]
     weak = [f"has {share:.2f} of the base expert's return"] if share < WEAK_SHARE else []
     weak += ["falls in some episodes"] if falls else []

@@ -38,39 +38,37 @@ def rungs_of_robot(base: Variant) -> list[dict[str, Any]]:
     return sorted(rungs, key=lambda rung: (rung.get("run", ""), rung["steps"]))
 
 
-def medium_rung(rungs: Sequence[Rung], expert_return: float) -> Rung:
-    """Return the rung whose return is nearest to 0.42 of the expert's."""
-    return min(rungs, key=lambda rung: abs(mean_return(rung) - MEDIUM_SHARE * expert_return))
+def medium_rung(rungs: Sequence[Rung], expert: Mapping[str, Any]) -> Rung:
+    """Return the rung whose return is nearest to 0.42 of that of the expert with this record."""
+    wanted = return_at(MEDIUM_SHARE, expert)
+    return min(rungs, key=lambda rung: abs(mean_return(rung) - wanted))
 
 
-def ranked_rungs(rungs: Sequence[Rung], expert_return: float) -> list[Rung]:
+def ranked_rungs(rungs: Sequence[Rung], expert: Mapping[str, Any]) -> list[Rung]:
     """Return the rungs below the expert that are nearest to :data:`RANKED_SHARES`, the best first.
 
     There are fewer of them if fewer rungs are below the expert.
     """
-    below = [rung for rung in rungs if mean_return(rung) < expert_return]
+    below = [rung for rung in rungs if mean_return(rung) < mean_return(expert)]
     chosen: list[Rung] = []
     for share in RANKED_SHARES[: len(below)]:
-        wanted = share * expert_return
+        wanted = return_at(share, expert)
         chosen.append(min((r for r in below if r not in chosen), key=lambda r: abs(mean_return(r) - wanted)))
     return sorted(chosen, key=mean_return, reverse=True)
 
 
 def has_medium(record: Mapping[str, Any]) -> bool:
     """Return whether the medium rung of a training record has a third to a half of the expert's return."""
-    rungs, expert_return = record.get("ladder"), mean_return(record)
-    if not rungs:
-        return False
-    low, high = (share * expert_return for share in MEDIUM_RANGE)
-    return low <= mean_return(medium_rung(rungs, expert_return)) <= high
+    rungs = record.get("ladder", ())
+    low, high = MEDIUM_RANGE
+    return bool(rungs) and low <= share_of(mean_return(medium_rung(rungs, record)), record) <= high
 
 
 def has_even_ranks(record: Mapping[str, Any]) -> bool:
     """Return whether the ranked rungs of a training record have about the returns that they should have."""
-    expert_return = mean_return(record)
-    chosen = ranked_rungs(record.get("ladder", ()), expert_return)
+    chosen = ranked_rungs(record.get("ladder", ()), record)
     return len(chosen) == len(RANKED_SHARES) and all(
-        abs(mean_return(rung) / expert_return - share) <= RANKED_TOLERANCE
+        abs(share_of(mean_return(rung), record) - share) <= RANKED_TOLERANCE
         for rung, share in zip(chosen, RANKED_SHARES, strict=True)
     )
 
@@ -92,6 +90,25 @@ def read_rung(variant: Variant, rung: Rung, *, deterministic: bool = True) -> Ac
         raise PolicyNotFoundError(f"the training record of {variant} names {name}, which is missing")
     algorithm = own_record(variant).get("algorithm", "SAC")
     return read_actor(path, deterministic=deterministic, algorithm=algorithm).for_robot(variant.robot)
+
+
+def share_of(value: float, expert: Mapping[str, Any]) -> float:
+    """Return the share that a return has of the expert's with this record.
+
+    If the expert's return is negative, as a reacher's is, the share is counted from the random policy's.
+    """
+    low = _zero(expert)
+    return (value - low) / (mean_return(expert) - low)
+
+
+def return_at(share: float, expert: Mapping[str, Any]) -> float:
+    """Return the return whose :func:`share_of` is ``share``."""
+    low = _zero(expert)
+    return low + share * (mean_return(expert) - low)
+
+
+def _zero(expert: Mapping[str, Any]) -> float:
+    return 0.0 if mean_return(expert) > 0 else float(expert["random"]["return_mean"])
 
 
 def mean_return(measured: Mapping[str, Any]) -> float:

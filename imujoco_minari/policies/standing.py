@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from imujoco_minari.policies.experts import readable_record
-from imujoco_minari.policies.rungs import has_even_ranks, has_medium, mean_return
+from imujoco_minari.policies.rungs import has_even_ranks, has_medium, mean_return, share_of
 from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS, Variant, catalogue, specification
 
 # The share that an expert should reach.
@@ -78,7 +78,7 @@ def standings(
             if not variants:
                 continue
             records = [record for variant in variants if (record := readable_record(variant, folder))]
-            shares = [mean_return(record) / mean_return(base) for record in records] if base else []
+            shares = [share_of(mean_return(record), base) for record in records] if base else []
             lines.append(
                 Standing(
                     robot,
@@ -99,7 +99,7 @@ def standings(
 def share_of_base(record: Mapping[str, Any], folder: Path | None = None) -> float | None:
     """Return the share of the expert with this training record; None when its base has no expert."""
     base = readable_record(Variant.parse(record["variant"]).base, folder)
-    return mean_return(record) / mean_return(base) if base else None
+    return share_of(mean_return(record), base) if base else None
 
 
 def seconds_trained(record: Mapping[str, Any]) -> float:

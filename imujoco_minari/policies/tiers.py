@@ -153,7 +153,7 @@ def _makers(variant: Variant, tier: str, path: str | Path | None, stochastic: bo
         return [(expert_actor(variant, deterministic=deterministic), {})]
     if tier == RANKED:
         return _ranked(variant, deterministic)
-    rung = medium_rung(ladder(variant), mean_return(measured_record(variant)))
+    rung = medium_rung(ladder(variant), measured_record(variant))
     medium = read_rung(variant, rung, deterministic=deterministic)
     attributes: dict[str, Any] = {"rung": int(rung["steps"])}
     if tier == MEDIUM:
@@ -165,14 +165,14 @@ def _makers(variant: Variant, tier: str, path: str | Path | None, stochastic: bo
 def _ranked(variant: Variant, deterministic: bool) -> list[_Maker]:
     """Return the expert and the rungs whose returns are spread most evenly below it, the best first."""
     rungs, expert = ladder(variant), expert_actor(variant, deterministic=deterministic)
-    expert_return = mean_return(measured_record(variant))
-    chosen = ranked_rungs(rungs, expert_return)
+    record = measured_record(variant)
+    chosen = ranked_rungs(rungs, record)
     if len(chosen) < len(RANKED_SHARES):
         raise PolicyNotFoundError(
             f"{variant} has {len(chosen)} rungs below its expert; "
             f"the tier {RANKED} needs {len(RANKED_SHARES)}"
         )
-    ranked: list[_Maker] = [(expert, {"rank": 0, "policy_return": expert_return})]
+    ranked: list[_Maker] = [(expert, {"rank": 0, "policy_return": mean_return(record)})]
     for rank, rung in enumerate(chosen, start=1):
         attributes = {"rank": rank, "policy_return": mean_return(rung), "rung": int(rung["steps"])}
         ranked.append((read_rung(variant, rung, deterministic=deterministic), attributes))

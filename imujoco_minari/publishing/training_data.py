@@ -14,7 +14,7 @@ from imujoco_minari.envs.mjcf import canonical_mjcf
 from imujoco_minari.envs.registration import environment_spec
 from imujoco_minari.errors import PolicyNotFoundError, TrainingError
 from imujoco_minari.policies.references import measured_record, reference_scores
-from imujoco_minari.policies.rungs import MEDIUM_SHARE
+from imujoco_minari.policies.rungs import MEDIUM_SHARE, return_at
 from imujoco_minari.policies.tiers import MEDIUM_REPLAY, REPLAY
 from imujoco_minari.publishing.collector import Collector, OnEpisode
 from imujoco_minari.publishing.new_dataset import NewDataset, find_published, publish_written
@@ -56,7 +56,7 @@ def record_medium_replay(
             f"{MEDIUM_REPLAY} ends at {MEDIUM_SHARE} of the expert's return, and {variant} has no expert: "
             f"train one with `imujoco train {variant}`"
         )
-    target = MEDIUM_SHARE * expert["evaluation"]["return_mean"]
+    target = return_at(MEDIUM_SHARE, expert)
     task = Task(variant, hyperparameters(variant.robot, SCRATCH), recipe.seed, target=target)
     with TemporaryDirectory(prefix="imujoco-") as folder:
         return record_training(

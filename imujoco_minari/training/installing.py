@@ -8,7 +8,7 @@ from typing import Any
 
 from imujoco_minari.policies import find_policy_file, own_record, read_actor, universal_policy
 from imujoco_minari.policies.evaluation import evaluate
-from imujoco_minari.policies.rungs import LADDER_SEED, mean_return, rung_file
+from imujoco_minari.policies.rungs import LADDER_SEED, return_at, rung_file
 from imujoco_minari.storage.files import write_json
 from imujoco_minari.training.agents import actor_of, load_arrays, save_arrays
 from imujoco_minari.training.selection import CHOOSING_SEED, score
@@ -84,7 +84,7 @@ def _base_ladder(
     """Save the checkpoint nearest to each of the shares as a rung, and return the ladder."""
 
     def nearest(share: float) -> int:
-        wanted = share * mean_return(record)
+        wanted = return_at(share, record)
         return int(min(evaluations, key=lambda e: abs(e["present"]["return_mean"] - wanted))["steps"])
 
     ladder: list[Mapping[str, Any]] = []

@@ -19,7 +19,7 @@ from typing import Any
 from imujoco_minari.errors import ImujocoError, JobError, StorageError, TrainingError
 from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies import expert_record, own_record
-from imujoco_minari.policies.rungs import mean_return
+from imujoco_minari.policies.rungs import return_at
 from imujoco_minari.storage.files import try_lock, write_json
 from imujoco_minari.training.hyperparameters import IMPROVE, NEAR, SCRATCH, WARM, hyperparameters
 from imujoco_minari.training.installing import folded_score, install, own_score
@@ -157,10 +157,11 @@ def task(variant: Variant, plan: Plan, say: Callable[[str], None] = lambda line:
     generations = hyperparameters(variant.robot, WARM, **plan.changes).search_generations
     say(f"choosing the start of {variant}, which takes some minutes")
     start = best_start(variant, plan.policies, generations)
-    needed_score = TARGET_SHARE * mean_return(own_record(variant.base, plan.policies))
+    base = own_record(variant.base, plan.policies)
+    needed_score = return_at(TARGET_SHARE, base)
     if plan.target is None and not plan.improve:
         target = needed_score
-    near = start.score >= NEAR_SHARE * needed_score
+    near = start.score >= return_at(NEAR_SHARE * TARGET_SHARE, base)
     kind = IMPROVE if variant.category == BASE else NEAR if near else WARM
     settings = hyperparameters(variant.robot, kind, **plan.changes)
     return Task(variant, settings, plan.seed, start, target)

@@ -17,7 +17,14 @@ from imujoco_minari.errors import DatasetError, PolicyNotFoundError
 from imujoco_minari.policies import Actor, load_policy, policies_folder, references
 from imujoco_minari.policies.evaluation import evaluate
 from imujoco_minari.policies.experts import expert_record, shipped_folder
-from imujoco_minari.policies.rungs import LADDER_SEED, mean_return, medium_rung, read_rung
+from imujoco_minari.policies.rungs import (
+    LADDER_SEED,
+    mean_return,
+    medium_rung,
+    read_rung,
+    return_at,
+    share_of,
+)
 from imujoco_minari.policies.tiers import parts
 from imujoco_minari.publishing.publisher import publish
 from imujoco_minari.variants import Variant
@@ -66,6 +73,17 @@ def rung(steps: int) -> str:
 
 def test_medium_is_the_rung_nearest_to_its_share_of_the_experts_return() -> None:
     assert made("medium", 7) == [(rung(200), 7, {"rung": 200})]
+
+
+def test_a_share_of_a_negative_return_is_counted_from_the_random_policys() -> None:
+    walker, reacher = (
+        {"evaluation": {"return_mean": best}, "random": {"return_mean": worst}}
+        for best, worst in ((100.0, 10.0), (-10.0, -50.0))
+    )
+    assert (share_of(50.0, walker), return_at(0.5, walker)) == (0.5, 50.0)
+    assert (share_of(-30.0, reacher), return_at(0.5, reacher)) == (0.5, -30.0)
+    rungs = [{"steps": -value, "evaluation": {"return_mean": float(value)}} for value in (-12, -35, -48)]
+    assert medium_rung(rungs, reacher)["steps"] == 35
 
 
 def test_medium_expert_is_half_and_half() -> None:
@@ -149,7 +167,7 @@ def test_a_folded_expert_has_a_ladder_that_is_measured_once(monkeypatch: pytest.
     returns = [mean_return(rung) for rung in rungs]
     assert returns == sorted(returns)
     (policy,) = (part.policy for part in parts(variant, "medium", 4, path=None, stochastic=False))
-    assert policy.sha256 == read_rung(variant, medium_rung(rungs, mean_return(expert_record(variant)))).sha256
+    assert policy.sha256 == read_rung(variant, medium_rung(rungs, expert_record(variant))).sha256
     monkeypatch.setattr(references, "measure", None)
     assert references.ladder(variant) == rungs
 

@@ -80,7 +80,7 @@ def test_the_references_of_the_bases_are_those_of_their_records(generator: Modul
     for base in ("hopper-base", "halfcheetah-base", "walker2d-base"):
         record = json.loads((shipped_folder() / f"{base}.json").read_text("utf-8"))
         expert, random = record["evaluation"], record["random"]
-        medium = medium_rung(record["ladder"], expert["return_mean"])["evaluation"]
+        medium = medium_rung(record["ladder"], record)["evaluation"]
         measured = (
             f"{each['return_mean']:.1f} ± {each['return_std']:.1f}" for each in (random, medium, expert)
         )
