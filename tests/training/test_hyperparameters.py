@@ -58,7 +58,7 @@ def test_the_command_line_passes_the_changes_on(
 ) -> None:
     plans: list[Plan] = []
 
-    def train(variant: Variant, plan: Plan, on_interval: object) -> Trained:
+    def train(variant: Variant, plan: Plan, *callbacks: object) -> Trained:
         plans.append(plan)
         return Trained(variant, {"variant": str(variant)}, error="not tried")
 
