@@ -28,8 +28,6 @@ TEACHER_SEED = 1_000_006
 # The weight of the log deviation in the loss. The mode alone decides deterministic actions.
 _LOG_STD_WEIGHT = 0.1
 _NOISE = 0.1
-# Steps of an episode of a robot without a time limit, when policies are compared.
-_STEPS = 1000
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ class Hyperparameters:
         anchor: how far the policy may go from the one that it began as; 0 does not hold it.
         average: share that the averaged weights keep at each of their updates, one in 50 calls.
         gamma: discount factor.
-        search_generations: generations of the search for what the universal policy should be told.
+        search_generations: generations of the search of a context to tell the universal policy.
         exploration_steps: steps before the first update, by random actions or by the loaded policy.
         critic_updates: updates of the critics alone after them.
         evaluate_every: steps between two evaluations. Each evaluation is a checkpoint too.

@@ -15,10 +15,10 @@ from imujoco_minari.policies.evaluation import evaluate
 from imujoco_minari.policies.experts import FOLDED
 from imujoco_minari.policies.universal import universal_name
 from imujoco_minari.training.agents import actor_of, agent_actor, load_arrays, replace_actor
+from imujoco_minari.training.context_search import SEARCHED, best_told, search_contexts
 from imujoco_minari.training.critics import fold_critics
 from imujoco_minari.training.selection import score
 from imujoco_minari.training.task import Start
-from imujoco_minari.training.telling import SEARCHED, best_told, searched
 from imujoco_minari.variants import Variant, catalogue
 
 EPISODES, START_SEED = 20, 1_000_005
@@ -27,7 +27,7 @@ EPISODES, START_SEED = 20, 1_000_005
 def best_start(variant: Variant, policies: Path, generations: int) -> Start:
     """Return the better start for a variant: the folded agent, or the base's.
 
-    ``generations`` is the length of the search for a context that the universal policy should be told.
+    ``generations`` is the length of :func:`search_contexts`.
 
     Raises:
         PolicyNotFoundError: if the base's agent does not exist.
@@ -46,7 +46,7 @@ def best_start(variant: Variant, policies: Path, generations: int) -> Start:
         critics = {} if own is None else load_arrays(own)
         others = best_told(universal, variant, [variant.base, *catalogue(variant.robot)])
         contexts = [(str(each), universal.context(each)) for each in dict.fromkeys([variant, *others])]
-        found = searched(universal, variant, universal.context(others[0]), generations)
+        found = search_contexts(universal, variant, universal.context(others[0]), generations)
         for told, context in [*contexts, *((SEARCHED, each) for each in found)]:
             folded = fold_critics(variant.robot, context, critics) if critics else {}
             agent = replace_actor(base_agent | folded, universal.fold_context(context).weights)

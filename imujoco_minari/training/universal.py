@@ -37,6 +37,7 @@ from imujoco_minari.training.agents import (
     replace_actor,
     save_arrays,
 )
+from imujoco_minari.training.context_search import best_told
 from imujoco_minari.training.critics import with_context
 from imujoco_minari.training.distilling import (
     Distilling,
@@ -50,7 +51,6 @@ from imujoco_minari.training.run import OnInterval, Run, do_nothing, versions
 from imujoco_minari.training.selection import score, universal_of
 from imujoco_minari.training.sweep import Trained, lock_folder
 from imujoco_minari.training.task import Distribution, Plan, Start, Task
-from imujoco_minari.training.telling import best_told
 from imujoco_minari.variants import Change, Variant, catalogue
 from imujoco_minari.variants.context import parameters
 from imujoco_minari.variants.off_dynamics import off_dynamics, off_dynamics_names

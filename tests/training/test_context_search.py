@@ -1,4 +1,4 @@
-"""What a universal policy should be told: listed variants are compared, and a search goes beyond them."""
+"""The context that a universal policy is told: listed ones are compared, and a search goes beyond them."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import pytest
 from imujoco_minari.policies import Actor, universal_policy
 from imujoco_minari.policies.evaluation import Evaluation, evaluate
 from imujoco_minari.policies.experts import FOLDED
-from imujoco_minari.training import starts, telling
+from imujoco_minari.training import context_search, starts
+from imujoco_minari.training.context_search import SEARCHED, best_told, search_contexts
 from imujoco_minari.training.starts import best_start
-from imujoco_minari.training.telling import SEARCHED, best_told, searched
 from imujoco_minari.variants import Variant
 
 HEAVY = Variant.parse("hopper-massinc_100_torsogeom")
@@ -35,8 +35,8 @@ def test_a_universal_policy_is_told_what_makes_it_act_best() -> None:
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """Episodes of 100 steps, so that a generation takes a moment."""
-    monkeypatch.setattr(telling, "max_episode_steps", lambda robot: 100)
-    monkeypatch.setattr(telling, "_EVERY", 4)
+    monkeypatch.setattr(context_search, "max_episode_steps", lambda robot: 100)
+    monkeypatch.setattr(context_search, "_EVERY", 4)
 
 
 def test_a_search_finds_what_a_bad_context_lacks(short: None) -> None:
@@ -45,11 +45,11 @@ def test_a_search_finds_what_a_bad_context_lacks(short: None) -> None:
     assert policy is not None
     # Told that gravity is far stronger, the policy acts worse than when it is told the truth.
     bad = policy.context(Variant.parse("hopper-gravityinc_100_world"))
-    first, last = searched(policy, HEAVY, bad, 8)
+    first, last = search_contexts(policy, HEAVY, bad, 8)
     assert first.shape == last.shape == bad.shape
-    before, after = telling._returns(policy, HEAVY, np.array([bad, last]), seed=0)
+    before, after = context_search._returns(policy, HEAVY, np.array([bad, last]), seed=0)
     assert after > before
-    again = searched(policy, HEAVY, bad, 4)
+    again = search_contexts(policy, HEAVY, bad, 4)
     np.testing.assert_array_equal(again[0], first)
 
 
@@ -58,7 +58,7 @@ def test_a_searched_context_is_a_start(short: None, monkeypatch: pytest.MonkeyPa
     policy = universal_policy("hopper")
     assert policy is not None
     asked = policy.context(HEAVY) + 0.01
-    monkeypatch.setattr(starts, "searched", lambda *_: [asked])
+    monkeypatch.setattr(starts, "search_contexts", lambda *_: [asked])
     sought = policy.fold_context(asked).weights["latent_pi.0.bias"].astype(np.float16)
 
     def evaluated(variant: Variant, actor: Actor, *, episodes: int, seed: int) -> Evaluation:

@@ -1,7 +1,8 @@
-"""What a universal policy should be told in a variant: another context is sometimes better than the true one.
+"""Searches the context with which a universal policy acts best in one variant.
 
-Told a lighter leg, a policy may run faster. So the contexts of the listed variants are tried, and CMA-ES
-searches from the best of them. Yu et al. (2019) call this search strategy optimisation.
+The variant's own context is not always the best: told a lighter leg, a policy may run faster. So the contexts
+of the listed variants are tried, and CMA-ES searches from the best of them. Yu et al. (2019) call this
+strategy optimisation.
 """
 
 from __future__ import annotations
@@ -13,32 +14,34 @@ import numpy as np
 from imujoco_minari.envs.registration import max_episode_steps
 from imujoco_minari.policies import Array
 from imujoco_minari.policies.universal import UniversalPolicy
+from imujoco_minari.training.distilling import TEACHER_SEED
 from imujoco_minari.training.lanes import Lanes
 from imujoco_minari.variants import Variant
 
 SEARCHED = "a searched context"
 # Episodes of a generation, each with a context of its own, and the deviation of the first contexts.
 _POPULATION, _SIGMA = 40, 0.06
-# Deviation of the noise on actions. What is found without noise runs faster but sometimes falls.
+# Deviation of the noise on actions. A policy that is found without noise runs faster but sometimes falls.
 _NOISE = 0.05
 # Generations between two of the contexts that are returned.
 _EVERY = 10
-_SEED = 1_000_006
 # Steps of an episode of a robot without a time limit.
 _STEPS = 1000
 
 
 def best_told(universal: UniversalPolicy, variant: Variant, others: Sequence[Variant]) -> list[Variant]:
-    """Return the three of the others that a universal policy should be told in a variant, the best first.
+    """Return the three other variants whose contexts make a universal policy best in a variant, best first.
 
     One episode decides.
     """
     contexts = np.array([universal.context(other) for other in others])
-    order = np.argsort(-_returns(universal, variant, contexts, _SEED))
+    order = np.argsort(-_returns(universal, variant, contexts, TEACHER_SEED))
     return [others[index] for index in order[:3]]
 
 
-def searched(universal: UniversalPolicy, variant: Variant, start: Array, generations: int) -> list[Array]:
+def search_contexts(
+    universal: UniversalPolicy, variant: Variant, start: Array, generations: int
+) -> list[Array]:
     """Search the contexts of a universal policy for those with the highest returns in a variant.
 
     Args:
@@ -53,11 +56,11 @@ def searched(universal: UniversalPolicy, variant: Variant, start: Array, generat
     """
     from cmaes import CMA
 
-    search = CMA(mean=start.astype(float), sigma=_SIGMA, population_size=_POPULATION, seed=_SEED)
+    search = CMA(mean=start.astype(float), sigma=_SIGMA, population_size=_POPULATION, seed=TEACHER_SEED)
     found = []
     for generation in range(1, generations + 1):
         contexts = np.array([search.ask() for _ in range(_POPULATION)])
-        returns = _returns(universal, variant, contexts, _SEED + generation, _NOISE)
+        returns = _returns(universal, variant, contexts, TEACHER_SEED + generation, _NOISE)
         search.tell([(context, -value) for context, value in zip(contexts, returns.tolist(), strict=True)])
         if generation % _EVERY == 0:
             found.append(np.array(search.mean))
