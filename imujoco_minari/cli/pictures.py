@@ -122,7 +122,7 @@ def plot(
     """
     from imujoco_minari.pictures.plotting.datasets import FIGURES, load_series, plot_datasets, with_bases
 
-    folder = output or Path("plots")
+    folder = _folder(output, "plots")
     names = list(dict.fromkeys(ids))
     with progress("plotting", len(names) + len(FIGURES)) as advance:
         series = []
@@ -135,6 +135,13 @@ def plot(
         say(f"the base robot is not drawn: {name} is not in the Minari root")
     line = f"wrote {counted(len(files), 'file')} to {folder}: {', '.join(file.name for file in files)}"
     report({"files": files, "missing": missing}, line, as_json=as_json)
+
+
+def _folder(output: Path | None, default: str) -> Path:
+    """Return the folder of several files, which a name such as ``returns.png`` is not meant for."""
+    if output is not None and output.suffix in (".png", ".svg", ".pdf"):
+        raise RenderingError(f"several files are written: give --output a folder, not {str(output)!r}")
+    return output or Path(default)
 
 
 @app.command()
@@ -166,12 +173,12 @@ def transfer(
 
     if robot is None:
         raise VariantError("name the robot with --robot")
+    target = _folder(output, f"transfer-{robot}")
     variants = columns(robot, category)
     chosen = _read_policies(policies) if policies else expert_policies(robot, category)
     with new_figure(1.0, 1.0, ""):
         # A missing matplotlib is reported before the work, not after it.
         pass
-    target = output or Path(f"transfer-{robot}")
     state = target / "transfer.json"
     with progress("evaluating", len(chosen) * len(variants)) as advance:
         result = evaluate_transfer(

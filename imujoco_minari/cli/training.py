@@ -21,6 +21,7 @@ from imujoco_minari.cli.selection import Filters, VariantChoice
 from imujoco_minari.errors import CatalogueError
 from imujoco_minari.policies import expert_variants, policies_folder
 from imujoco_minari.policies.experts import readable_record, start_of
+from imujoco_minari.policies.rungs import mean_return, share_of
 from imujoco_minari.policies.standing import COLUMNS, share_of_base, standings
 from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS, Variant, bases, catalogue
 
@@ -209,8 +210,8 @@ def describe_universal(outcome: Trained) -> tuple[str, ...]:
             return "kept", f"{outcome.variant}: the new one is not better; try another --seed"
         return "left alone", f"{outcome.variant}: it exists already; --improve trains another round"
     measured = outcome.record["measured"]
-    base = measured[f"{outcome.record['robot']}-{BASE}"]["evaluation"]["return_mean"]
-    shares = sorted(each["evaluation"]["return_mean"] / base for each in measured.values())
+    base = measured[f"{outcome.record['robot']}-{BASE}"]
+    shares = sorted(share_of(mean_return(each), base) for each in measured.values())
     return "trained", (
         f"{outcome.variant}: of its return on the base, {shares[len(shares) // 2]:.2f} in the median variant "
         f"and {shares[0]:.2f} in the weakest"

@@ -8,7 +8,7 @@ run that is killed begins again and ends with the same weights.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -17,6 +17,7 @@ import numpy as np
 
 from imujoco_minari.policies import Actor, Array
 from imujoco_minari.policies.evaluation import evaluate
+from imujoco_minari.policies.rungs import share_of
 from imujoco_minari.policies.universal import FIRST_WEIGHT
 from imujoco_minari.training.agents import as_stored, import_jax
 from imujoco_minari.training.lanes import Lanes
@@ -65,10 +66,10 @@ class Lesson(NamedTuple):
     share: float
 
 
-def best_teacher(variant: Variant, candidates: Sequence[Actor], base_return: float) -> Lesson:
+def best_teacher(variant: Variant, candidates: Sequence[Actor], expert: Mapping[str, Any]) -> Lesson:
     """Return the best of several policies for a variant: by one episode, then the best three by four.
 
-    Its share is of ``base_return``, the mean return of the base's expert on the base.
+    Its share is of the return of the base's expert with this record.
     """
 
     def returns(policy: Actor, episodes: int) -> float:
@@ -78,7 +79,7 @@ def best_teacher(variant: Variant, candidates: Sequence[Actor], base_return: flo
         candidates = sorted(candidates, key=lambda policy: returns(policy, 1), reverse=True)[:3]
     measured = [returns(policy, 4) for policy in candidates]
     best = int(np.argmax(measured))
-    return Lesson(variant, candidates[best], measured[best] / base_return)
+    return Lesson(variant, candidates[best], share_of(measured[best], expert))
 
 
 def distil(
@@ -134,11 +135,8 @@ def distil(
         updates = settings.updates * (4 if last else 1)
         memory = np.concatenate(seen), np.concatenate(labels)
         student.learn(*memory, rng, updates, settings.learning_rate / (100 if last else 5))
-        shares = record(student.act) / wanted
-        say(
-            f"round {number}: {np.median(shares):.3f} of the teachers (median), "
-            f"lowest {shares.min():.3f}, {(time.monotonic() - begin) / 60:.1f} min"
-        )
+        reward, minutes = record(student.act).mean(), (time.monotonic() - begin) / 60
+        say(f"round {number}: mean reward {reward:.3f}, teachers' {wanted.mean():.3f}, {minutes:.1f} min")
     lanes.close()
     return student.weights()
 

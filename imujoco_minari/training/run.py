@@ -22,6 +22,7 @@ from imujoco_minari.errors import TrainingError
 from imujoco_minari.policies import Actor, Array
 from imujoco_minari.policies.references import CONFIRMING_SEED, random_evaluation
 from imujoco_minari.policies.rollouts import episode_seed
+from imujoco_minari.policies.rungs import share_of
 from imujoco_minari.training.agents import (
     ALGORITHM,
     STARTING,
@@ -207,7 +208,7 @@ class Run:
         self.progress.episodes = self._lanes.episodes
         for variant, total in stepped.ended:
             if over is not None and variant in over.listed:
-                name, share = str(variant), total / over.listed[variant]
+                name, share = str(variant), share_of(total, over.expert)
                 before = self.progress.running.get(name, share)
                 self.progress.running[name] = 0.7 * before + 0.3 * share
 

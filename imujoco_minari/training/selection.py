@@ -9,6 +9,7 @@ import numpy as np
 
 from imujoco_minari.policies import Actor, Array
 from imujoco_minari.policies.evaluation import evaluate
+from imujoco_minari.policies.rungs import share_of
 from imujoco_minari.policies.universal import UniversalPolicy
 from imujoco_minari.training.agents import ALGORITHM, actor_of
 from imujoco_minari.training.task import Task
@@ -49,15 +50,15 @@ def look(task: Task, arrays: Mapping[str, Array], episodes: int, seed: int) -> L
         return Look(found, found["return_mean"], score(found))
     policy = universal_of(arrays, robot)
     shares, scores = [], []
-    for variant, wanted in task.over.listed.items():
+    for variant in task.over.listed:
         found = evaluate(variant, policy.fold(variant), episodes=episodes, seed=seed).asdict()
-        shares.append(found["return_mean"] / wanted)
-        scores.append(score(found) / wanted)
+        shares.append(share_of(found["return_mean"], task.over.expert))
+        scores.append(share_of(score(found), task.over.expert))
     summary = {
         "median": float(np.median(shares)),
         "mean": float(np.mean(shares)),
         "min": min(shares),
-        "weakest": [str(list(task.over.listed)[i]) for i in np.argsort(shares)[:3]],
+        "weakest": [str(task.over.listed[i]) for i in np.argsort(shares)[:3]],
     }
     mean, lower = (float(np.minimum(each, _MOST).mean()) for each in (shares, scores))
     return Look(summary, mean, lower)

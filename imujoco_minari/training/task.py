@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -56,11 +57,13 @@ class Distribution:
     """The variants that a universal policy is trained in.
 
     Attributes:
-        listed: the variants that evaluate it -> the return that counts as 1 in each.
+        listed: the variants that evaluate it.
+        expert: record of the base's expert. Its return counts as 1 in every variant.
         draw: a seed -> another variant to train in.
     """
 
-    listed: Mapping[Variant, float]
+    listed: Sequence[Variant]
+    expert: Mapping[str, Any]
     draw: Callable[[int], Variant]
 
     def choose(self, rng: np.random.Generator, seed: int, running: Mapping[str, float]) -> Variant:
@@ -70,10 +73,9 @@ class Distribution:
         """
         if rng.random() < _DRAWN:
             return self.draw(seed)
-        variants = list(self.listed)
-        shares = np.array([running.get(str(each), 0.8) for each in variants])
+        shares = np.array([running.get(str(each), 0.8) for each in self.listed])
         weights = np.clip(1.1 - shares, *_WEIGHTS)
-        return variants[int(rng.choice(len(variants), p=weights / weights.sum()))]
+        return self.listed[int(rng.choice(len(self.listed), p=weights / weights.sum()))]
 
 
 @dataclass

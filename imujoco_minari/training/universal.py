@@ -20,7 +20,6 @@ import numpy as np
 from imujoco_minari.errors import PolicyNotFoundError, VariantError
 from imujoco_minari.policies import agent_file, expert_actor, expert_variants, own_record, universal_policy
 from imujoco_minari.policies.references import evaluations
-from imujoco_minari.policies.rungs import mean_return
 from imujoco_minari.policies.universal import (
     UniversalPolicy,
     universal_name,
@@ -101,7 +100,7 @@ def lessons(robot: str, policies: Path, seed: int, trained: UniversalPolicy) -> 
         trained: a universal policy that may teach, beside the present one.
     """
     base = Variant(robot)
-    base_return = mean_return(own_record(base, policies))
+    expert = own_record(base, policies)
     own = {variant: expert_actor(variant) for variant in expert_variants(policies) if variant.robot == robot}
     present = universal_policy(robot, policies)
     told = [trained] if present is None else [present, trained]
@@ -112,7 +111,7 @@ def lessons(robot: str, policies: Path, seed: int, trained: UniversalPolicy) -> 
         for universal in told:
             named = dict.fromkeys([variant, *best_told(universal, variant, known)])
             candidates += map(universal.fold, named)
-        found.append(best_teacher(variant, candidates, base_return))
+        found.append(best_teacher(variant, candidates, expert))
     rng = np.random.default_rng(seed)
     for number in range(DRAWN):
         variant = drawn_variant(robot, seed=seed + number)
@@ -122,7 +121,7 @@ def lessons(robot: str, policies: Path, seed: int, trained: UniversalPolicy) -> 
         tried = [others[index] for index in rng.permutation(len(others))[:_OTHERS]]
         candidates = [own[each] for each in dict.fromkeys([base, *near, *tried])]
         candidates += [universal.fold(variant) for universal in told]
-        lesson = best_teacher(variant, candidates, base_return)
+        lesson = best_teacher(variant, candidates, expert)
         if lesson.share >= WORTH_TEACHING:
             found.append(lesson)
     return found
@@ -205,19 +204,19 @@ def _score(record: Mapping[str, Any]) -> float:
 def _task(robot: str, plan: Plan) -> Task:
     """Return the training in many variants, which begins as the base's agent."""
     base = Variant(robot)
-    path = agent_file(base, plan.policies)
-    if not own_record(base, plan.policies) or path is None:
+    expert, path = own_record(base, plan.policies), agent_file(base, plan.policies)
+    if not expert or path is None:
         raise PolicyNotFoundError(f"{base} has no agent to begin with: run `imujoco train {base}` first")
     listed = (base, *catalogue(robot))
     contexts = np.array([whole_context(variant) for variant in listed], np.float32)
-    base_return, agent = mean_return(own_record(base, plan.policies)), load_arrays(path)
+    agent = load_arrays(path)
     actor = with_unused_context(actor_of(agent_actor(agent), robot), contexts.shape[1])
     return Task(
         base,
         hyperparameters(robot, UNIVERSAL, **plan.changes),
         plan.seed,
         Start(str(base), replace_actor(with_context(agent, contexts, robot), actor.weights)),
-        over=Distribution(dict.fromkeys(listed, base_return), partial(drawn_variant, robot)),
+        over=Distribution(listed, expert, partial(drawn_variant, robot)),
     )
 
 
