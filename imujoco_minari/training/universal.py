@@ -46,7 +46,7 @@ from imujoco_minari.training.distilling import (
     with_unused_context,
 )
 from imujoco_minari.training.hyperparameters import UNIVERSAL, hyperparameters
-from imujoco_minari.training.run import OnInterval, Run, do_nothing, versions
+from imujoco_minari.training.run import OnInterval, Progress, Run, do_nothing, versions
 from imujoco_minari.training.selection import score, universal_of
 from imujoco_minari.training.sweep import Trained, lock_folder
 from imujoco_minari.training.task import Distribution, Plan, Start, Task
@@ -87,7 +87,7 @@ def drawn_variant(robot: str, seed: int) -> Variant:
             continue
 
 
-def lessons(robot: str, policies: Path, seed: int, trained: UniversalPolicy) -> list[Lesson]:
+def lessons(robot: str, policies: Path, seed: int, trained: UniversalPolicy | None) -> list[Lesson]:
     """Return variants of a robot with the best known policy of each.
 
     They are the base, the listed variants, all others that have an expert, and drawn ones. A drawn variant
@@ -97,20 +97,19 @@ def lessons(robot: str, policies: Path, seed: int, trained: UniversalPolicy) -> 
         robot: the robot.
         policies: folder to search before the package's.
         seed: seed of the drawn variants.
-        trained: a universal policy that may teach, beside the present one.
+        trained: a universal policy that may teach too, also while it is told another variant.
     """
     base = Variant(robot)
     expert = own_record(base, policies)
     own = {variant: expert_actor(variant) for variant in expert_variants(policies) if variant.robot == robot}
     present = universal_policy(robot, policies)
-    told = [trained] if present is None else [present, trained]
     known = list(dict.fromkeys([base, *catalogue(robot), *own]))
     found = []
     for variant in known:
         candidates = [own[each] for each in dict.fromkeys([variant, base]) if each in own]
-        for universal in told:
-            named = dict.fromkeys([variant, *best_told(universal, variant, known)])
-            candidates += map(universal.fold, named)
+        candidates += [present.fold(variant)] if present else []
+        if trained:
+            candidates += map(trained.fold, dict.fromkeys([variant, *best_told(trained, variant, known)]))
         found.append(best_teacher(variant, candidates, expert))
     rng = np.random.default_rng(seed)
     for number in range(DRAWN):
@@ -120,7 +119,7 @@ def lessons(robot: str, policies: Path, seed: int, trained: UniversalPolicy) -> 
         others = [each for each in own if each not in (*near, base)]
         tried = [others[index] for index in rng.permutation(len(others))[:_OTHERS]]
         candidates = [own[each] for each in dict.fromkeys([base, *near, *tried])]
-        candidates += [universal.fold(variant) for universal in told]
+        candidates += [universal.fold(variant) for universal in (present, trained) if universal]
         lesson = best_teacher(variant, candidates, expert)
         if lesson.share >= WORTH_TEACHING:
             found.append(lesson)
@@ -136,7 +135,7 @@ def train_universal(
 ) -> Trained:
     """Train the universal policy of a robot and install it, unless the present one is better.
 
-    A killed run continues where it stopped.
+    A killed run continues where it stopped. Without training steps, the known policies are distilled only.
 
     Args:
         robot: the robot.
@@ -153,17 +152,22 @@ def train_universal(
     if present is not None and not plan.improve:
         return Trained(name, dict(present.record))
     distilling = distilling or Distilling(seed=plan.seed)
-    folder, begin = plan.state / name, time.monotonic()
+    folder = plan.state / name
     with lock_folder(folder):
         task = _task(robot, plan)
-        with closing(Run(task, folder / "run", device=plan.device)) as run:
-            run.train(on_interval)
-        trained = universal_of(load_arrays(folder / "run" / "best.safetensors"), robot)
+        progress, agent, trained = Progress(), task.start.agent, None
+        if task.settings.max_steps:
+            with closing(Run(task, folder / "run", device=plan.device)) as run:
+                run.train(on_interval)
+            progress, agent = run.progress, load_arrays(folder / "run" / "best-agent.safetensors")
+            trained = universal_of(load_arrays(folder / "run" / "best.safetensors"), robot)
+        begin = time.monotonic()
         say(f"choosing teachers for {robot}")
         taught = lessons(robot, plan.policies, plan.seed, trained)
         shares = [lesson.share for lesson in taught]
         say(f"{len(taught)} variants, their teachers at {np.median(shares):.3f} of the base (median)")
-        weights = distil(taught, (present or trained).actor, distilling, say)
+        start = present or trained or universal_of(agent_actor(agent), robot)
+        weights = distil(taught, start.actor, distilling, say)
         record: dict[str, Any] = {
             "robot": robot,
             "algorithm": ALGORITHM,
@@ -172,10 +176,10 @@ def train_universal(
             "seed": plan.seed,
             "distilling": vars(distilling),
             "hyperparameters": task.settings.asdict(),
-            "steps": run.progress.best_steps,
-            "steps_trained": run.progress.steps,
-            "updates": run.progress.updates,
-            "wall_seconds": round(run.progress.wall_seconds + time.monotonic() - begin, 1),
+            "steps": progress.best_steps,
+            "steps_trained": progress.steps,
+            "updates": progress.updates,
+            "wall_seconds": round(progress.wall_seconds + time.monotonic() - begin, 1),
             "versions": versions(),
             "measured": {},
         }
@@ -186,9 +190,9 @@ def train_universal(
             outcome = Trained(name, dict(present.record), tried=record)
         else:
             save_arrays(plan.policies / f"{name}.safetensors", weights)
-            agent = load_arrays(folder / "run" / "best-agent.safetensors")
-            critics = {path: array for path, array in agent.items() if path.startswith(CRITICS)}
-            save_arrays(plan.policies / f"{name}.agent.safetensors", critics)
+            if trained or not present:
+                critics = {path: array for path, array in agent.items() if path.startswith(CRITICS)}
+                save_arrays(plan.policies / f"{name}.agent.safetensors", critics)
             # The record is written last. Its presence means that the policy is complete.
             write_json(plan.policies / f"{name}.json", record)
             outcome = Trained(name, record, created=True)

@@ -140,6 +140,7 @@ def test_verify_fails_on_damage(capsys: pytest.CaptureFixture[str], root: Path) 
         (["combine", "--robot", "hopper"], 2, "imujoco publish --robot hopper"),
         (["combine", "a/b-v0"], 2, "--id"),
         (["policy", "export", "ant-base", "x.zip"], 2, "imujoco train"),
+        (["train", "hopper-base", "--max-steps", "0"], 2, "add --universal"),
         (["plot", "imujoco/hopper-base-v0", "--output", "x.png"], 1, "give --output a folder"),
         (["transfer", "--robot", "hopper", "--output", "x.svg"], 1, "give --output a folder"),
     ],

@@ -170,3 +170,11 @@ def test_a_universal_policy_is_trained_killed_resumed_and_installed(
     again = train_universal("hopper", replace(plan, seed=1), SMALL)
     assert (again.created, bool(again.tried)) == (False, True)
     assert again.record["weights_sha256"] == found.sha256 != again.tried["weights_sha256"]
+    # Without training steps, the known policies are distilled only, and the critics stay.
+    returns.update(return_mean=returns["return_mean"] + 9)
+    critics, steps[:] = agent.read_bytes(), []
+    short = replace(plan, seed=2, changes=changes | {"max_steps": 0})
+    distilled = train_universal("hopper", short, SMALL, on_interval=tell)
+    assert (distilled.created, distilled.record["steps_trained"], steps) == (True, 0, [])
+    assert distilled.record["weights_sha256"] != found.sha256
+    assert agent.read_bytes() == critics
