@@ -55,7 +55,7 @@ from imujoco_minari.variants.context import parameters
 from imujoco_minari.variants.off_dynamics import off_dynamics, off_dynamics_names
 from imujoco_minari.variants.ranges import drawing_ranges
 
-# Drawn variants that are distilled beside the listed ones, and the least share of their teachers.
+# Drawn variants that are distilled beside the listed ones, and the least share of an unlisted one's teacher.
 DRAWN, WORTH_TEACHING = 80, 0.5
 # Experts of other variants that are tried as teachers of a drawn one, beside those of its own parameters.
 _OTHERS = 8
@@ -90,8 +90,8 @@ def drawn_variant(robot: str, seed: int) -> Variant:
 def lessons(robot: str, policies: Path, seed: int, trained: UniversalPolicy | None) -> list[Lesson]:
     """Return variants of a robot with the best known policy of each.
 
-    They are the base, the listed variants, all others that have an expert, and drawn ones. A drawn variant
-    without a good teacher is left out.
+    They are the base, the listed variants, ODRL's targets, all others that have an expert, and drawn ones. A
+    variant that is not listed is left out if no policy is good there.
 
     Args:
         robot: the robot.
@@ -103,14 +103,16 @@ def lessons(robot: str, policies: Path, seed: int, trained: UniversalPolicy | No
     expert = own_record(base, policies)
     own = {variant: expert_actor(variant) for variant in expert_variants(policies) if variant.robot == robot}
     present = universal_policy(robot, policies)
-    known = list(dict.fromkeys([base, *catalogue(robot), *own]))
+    listed = [base, *catalogue(robot)]
     found = []
-    for variant in known:
+    for variant in dict.fromkeys([*measured_variants(robot), *own]):
         candidates = [own[each] for each in dict.fromkeys([variant, base]) if each in own]
         candidates += [present.fold(variant)] if present else []
         if trained:
-            candidates += map(trained.fold, dict.fromkeys([variant, *best_told(trained, variant, known)]))
-        found.append(best_teacher(variant, candidates, expert))
+            candidates += map(trained.fold, dict.fromkeys([variant, *best_told(trained, variant, listed)]))
+        lesson = best_teacher(variant, candidates, expert)
+        if variant in listed or lesson.share >= WORTH_TEACHING:
+            found.append(lesson)
     rng = np.random.default_rng(seed)
     for number in range(DRAWN):
         variant = drawn_variant(robot, seed=seed + number)

@@ -26,7 +26,7 @@ from imujoco_minari.training.run import Progress
 from imujoco_minari.training.starts import best_start
 from imujoco_minari.training.task import Plan, Task
 from imujoco_minari.training.universal import drawn_variant, train_universal
-from imujoco_minari.variants import CATEGORIES, Variant
+from imujoco_minari.variants import CATEGORIES, Variant, catalogue
 from imujoco_minari.variants.context import parameters
 from imujoco_minari.variants.ranges import drawing_ranges
 
@@ -69,6 +69,20 @@ def test_the_best_of_several_policies_teaches() -> None:
     found = best_teacher(walker, [still, expert], own_record(walker))
     assert found.teacher is expert
     assert 0.9 < found.share < 1.1
+
+
+def test_a_variant_without_a_good_teacher_is_taught_only_if_it_is_listed(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    target = Variant.parse("hopper-gravityinc_100_world")
+
+    def bad(variant: Variant, candidates: list[Actor], expert: dict[str, Any]) -> Lesson:
+        assert len(candidates) >= 2
+        return Lesson(variant, candidates[0], 0.9 if variant == target else 0.4)
+
+    monkeypatch.setattr(universal, "best_teacher", bad)
+    taught = [each.variant for each in universal.lessons("hopper", tmp_path, 0, None)]
+    assert taught == [BASE, *catalogue("hopper"), target]
 
 
 @pytest.mark.parametrize("robot", ["hopper", "halfcheetah", "walker2d", "ant"])
