@@ -138,7 +138,7 @@ def plot(
 
 
 def _folder(output: Path | None, default: str) -> Path:
-    """Return the folder of several files, which a name such as ``returns.png`` is not meant for."""
+    """Return the folder that a command writes several files into. The name of a picture is an error."""
     if output is not None and output.suffix in (".png", ".svg", ".pdf"):
         raise RenderingError(f"several files are written: give --output a folder, not {str(output)!r}")
     return output or Path(default)

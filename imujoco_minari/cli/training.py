@@ -72,7 +72,7 @@ def train_variants(
 
     With --universal, one policy of the robot is trained that is told its variant. It acts in every variant
     that has no expert of its own. It is trained in many variants first, which takes an hour. Then the best
-    known policies are distilled into it. --max-steps 0 only distils, which takes some ten minutes.
+    known policies are distilled into it. --max-steps 0 only distils, which takes about half an hour.
 
     Examples: `imujoco train hopper-massinc_37_torsogeom`,
     `imujoco train --universal --robot hopper --improve --max-steps 0`,
@@ -85,7 +85,7 @@ def train_variants(
     if universal and (choice.robot is None or choice.names or choice.category):
         raise typer.BadParameter("--universal trains one policy a robot: give --robot ROBOT and no variants")
     if max_steps == 0 and not universal:
-        raise typer.BadParameter("--max-steps 0 distils a universal policy only: add --universal")
+        raise typer.BadParameter("--max-steps 0 only distils a universal policy: add --universal")
     chosen = choice.variants()
     try:
         changes = hyperparameter_changes(settings or [])

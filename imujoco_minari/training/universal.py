@@ -91,7 +91,7 @@ def lessons(robot: str, policies: Path, seed: int, trained: UniversalPolicy | No
     """Return variants of a robot with the best known policy of each.
 
     They are the base, the listed variants, ODRL's targets, all others that have an expert, and drawn ones. A
-    variant that is not listed is left out if no policy is good there.
+    variant that is not listed is left out if no policy reaches half of the base expert's return.
 
     Args:
         robot: the robot.
