@@ -56,7 +56,7 @@ from imujoco_minari.variants.off_dynamics import off_dynamics, off_dynamics_name
 from imujoco_minari.variants.ranges import drawing_ranges
 
 # Drawn variants that are distilled beside the listed ones, and the least share of an unlisted one's teacher.
-# With 80 drawn ones, the student was worse than the policy it began as in variants that it had not seen.
+# With half as many, the student was worse than the policy it began as in variants that it had not seen.
 DRAWN, WORTH_TEACHING = 240, 0.4
 # Experts of variants with a change of the same body that are tried as teachers of a drawn one.
 _NEAR = 4
