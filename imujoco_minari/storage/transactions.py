@@ -87,7 +87,12 @@ def scratch(parent: Path, prefix: str = "") -> Iterator[Path]:
 def _make_locked_folder(root: Path, prefix: str) -> tuple[Path, int]:
     """Make a folder in ``root`` and lock it. Return the folder and the descriptor of its lock."""
     while True:
-        root.mkdir(parents=True, exist_ok=True)
+        try:
+            root.mkdir(parents=True)
+        except FileExistsError:
+            # With exist_ok=True, this also fails if another process removes the folder now.
+            if root.is_symlink() and not root.exists():
+                raise
         if root.name == STAGING:
             # Every user of a shared root may stage. This is the mode of /tmp: users can remove only their own
             # folders. A folder of another user keeps its mode.

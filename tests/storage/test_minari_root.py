@@ -179,6 +179,31 @@ class TestRoot:
         with pytest.raises(StorageError, match="cannot use the Minari root"), transactions.staging():
             pass
 
+    def test_a_staging_folder_that_another_process_removes(
+        self, root: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        made, real = [], os.mkdir
+
+        def existed(path: str | Path, *args: int, **kwargs: int) -> None:
+            made.append(Path(path))
+            if made == [root / transactions.STAGING]:
+                raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
+            real(path, *args, **kwargs)
+
+        root.mkdir()
+        monkeypatch.setattr(os, "mkdir", existed)
+        with transactions.staging() as folder:
+            assert folder.parent == root / transactions.STAGING
+        assert made.count(root / transactions.STAGING) == 2
+
+    @pytest.mark.parametrize("link", [False, True])
+    def test_a_staging_folder_that_is_no_folder(self, root: Path, link: bool) -> None:
+        root.mkdir()
+        staging = root / transactions.STAGING
+        staging.symlink_to(root / "missing") if link else staging.write_text("")
+        with pytest.raises(StorageError, match=r"File exists|Not a directory"), transactions.staging():
+            pass
+
     def test_a_namespace_that_is_a_file(self, root: Path) -> None:
         root.mkdir()
         (root / "imujoco").write_text("")

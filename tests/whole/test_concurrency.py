@@ -53,8 +53,8 @@ def read(stop, queue):
 if __name__ == "__main__":
     context = multiprocessing.get_context("fork")
     queue, counts, stop = context.Queue(), context.Queue(), context.Event()
-    reader = context.Process(target=read, args=(stop, counts))
-    writers = [context.Process(target=write, args=(worker, queue)) for worker in range(6)]
+    reader = context.Process(target=read, args=(stop, counts), daemon=True)
+    writers = [context.Process(target=write, args=(worker, queue), daemon=True) for worker in range(6)]
     for process in (reader, *writers): process.start()
     won = [queue.get(timeout=60) for _ in writers]
     for process in writers: process.join()
