@@ -90,7 +90,7 @@ def _make_locked_folder(root: Path, prefix: str) -> tuple[Path, int]:
         try:
             root.mkdir(parents=True)
         except FileExistsError:
-            # With exist_ok=True, this also fails if another process removes the folder now.
+            # exist_ok=True fails too if another process removes the folder now. A link to nothing stays.
             if root.is_symlink() and not root.exists():
                 raise
         if root.name == STAGING:

@@ -56,9 +56,9 @@ from imujoco_minari.variants.off_dynamics import off_dynamics, off_dynamics_name
 from imujoco_minari.variants.ranges import drawing_ranges
 
 # Drawn variants that are distilled beside the listed ones, and the least share of an unlisted one's teacher.
-# With half as many, the student was worse than the policy it began as in variants that it had not seen.
+# With fewer, the student became worse in variants that it had not seen: docs/design.md.
 DRAWN, WORTH_TEACHING = 240, 0.4
-# Experts of variants with a change of the same body that are tried as teachers of a drawn one.
+# Experts of variants with a change of the same parameter that are tried as teachers of a drawn one.
 _NEAR = 4
 
 
@@ -92,8 +92,8 @@ def lessons(robot: str, policies: Path, seed: int, trained: UniversalPolicy | No
     """Return variants of a robot with the best known policy of each.
 
     They are the base, the listed variants, ODRL's targets, all others that have an expert, and drawn ones. A
-    variant that is not listed is left out if no policy reaches two fifths of the base expert's return. Listed
-    ones and the base are there twice, because most lessons are drawn.
+    variant that is not listed is left out if no policy reaches two fifths of the base expert's return. The base
+    and the listed ones are returned twice, because most of the others are drawn.
 
     Args:
         robot: the robot.
@@ -122,7 +122,7 @@ def lessons(robot: str, policies: Path, seed: int, trained: UniversalPolicy | No
         changed = {(change.category, change.body) for change in variant.changes}
         near = [each for each in own if {(c.category, c.body) for c in each.changes} & changed]
         tried = [near[index] for index in rng.permutation(len(near))[:_NEAR]]
-        candidates = [own[each] for each in dict.fromkeys([base, *tried])]
+        candidates = [own[each] for each in (base, *tried)]
         candidates += [universal.fold(variant) for universal in (present, trained) if universal]
         lesson = best_teacher(variant, candidates, expert)
         if lesson.share >= WORTH_TEACHING:
