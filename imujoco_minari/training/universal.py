@@ -92,8 +92,8 @@ def lessons(robot: str, policies: Path, seed: int, trained: UniversalPolicy | No
     """Return variants of a robot with the best known policy of each.
 
     They are the base, the listed variants, ODRL's targets, all others that have an expert, and drawn ones. A
-    variant that is not listed is left out if no policy reaches two fifths of the base expert's return. The base
-    and the listed ones are returned twice, because most of the others are drawn.
+    variant that is not listed is left out if no policy reaches two fifths of the base expert's return. The
+    base and the listed ones are returned twice, because most of the others are drawn.
 
     Args:
         robot: the robot.
