@@ -55,7 +55,7 @@ from imujoco_minari.variants.context import parameters
 from imujoco_minari.variants.off_dynamics import off_dynamics, off_dynamics_names
 from imujoco_minari.variants.ranges import drawing_ranges
 
-# Drawn variants that are distilled beside the listed ones, and the least share of an unlisted one's teacher.
+# Drawn variants that are distilled beside the listed ones, and the least share of the teacher of one.
 # With fewer, the student became worse in variants that it had not seen: docs/design.md.
 DRAWN, WORTH_TEACHING = 240, 0.4
 # Experts of variants with a change of the same parameter that are tried as teachers of a drawn one.
@@ -92,8 +92,8 @@ def lessons(robot: str, policies: Path, seed: int, trained: UniversalPolicy | No
     """Return variants of a robot with the best known policy of each.
 
     They are the base, the listed variants, ODRL's targets, all others that have an expert, and drawn ones. A
-    variant that is not listed is left out if no policy reaches two fifths of the base expert's return. The
-    base and the listed ones are returned twice, because most of the others are drawn.
+    drawn variant is left out if no policy reaches two fifths of the base expert's return. The base and the
+    listed ones are returned twice, because most of the others are drawn.
 
     Args:
         robot: the robot.
@@ -112,9 +112,7 @@ def lessons(robot: str, policies: Path, seed: int, trained: UniversalPolicy | No
         candidates += [present.fold(variant)] if present else []
         if trained:
             candidates += map(trained.fold, dict.fromkeys([variant, *best_told(trained, variant, listed)]))
-        lesson = best_teacher(variant, candidates, expert)
-        if variant in listed or lesson.share >= WORTH_TEACHING:
-            found.append(lesson)
+        found.append(best_teacher(variant, candidates, expert))
     found += [lesson for lesson in found if lesson.variant in listed]
     rng = np.random.default_rng(seed)
     for number in range(DRAWN):
