@@ -12,7 +12,7 @@ import pytest
 from imujoco_minari.policies import Actor, expert_actor, own_record, universal_policy
 from imujoco_minari.policies.experts import agent_file
 from imujoco_minari.policies.universal import FIRST_WEIGHT, UniversalPolicy
-from imujoco_minari.training import universal
+from imujoco_minari.training import starts, universal
 from imujoco_minari.training.agents import load_arrays
 from imujoco_minari.training.critics import with_context
 from imujoco_minari.training.distilling import (
@@ -177,6 +177,8 @@ def test_a_universal_policy_is_trained_killed_resumed_and_installed(
     # Experts that are trained from it get its critics, and so does a later run.
     agent = tmp_path / "policies" / "hopper-universal.agent.safetensors"
     assert agent.stat().st_size < 1_000_000
+    monkeypatch.setattr(starts, "EPISODES", 1)
+    monkeypatch.setattr(starts, "catalogue", lambda robot: (HEAVY,))
     start = best_start(HEAVY, tmp_path / "policies", 0)
     assert start.agent["qf/params/VmapCritic_0/Dense_0/kernel"].shape[1] == 14
     kept = train_universal("hopper", Plan(tmp_path / "state", tmp_path / "policies"), SMALL)

@@ -18,7 +18,7 @@ from imujoco_minari.policies.evaluation import Evaluation, evaluate
 from imujoco_minari.policies.experts import FOLDED
 from imujoco_minari.policies.references import CONFIRMING_SEED, ladder
 from imujoco_minari.publishing.publisher import publish
-from imujoco_minari.training import selection, sweep
+from imujoco_minari.training import selection, starts, sweep
 from imujoco_minari.training.agents import (
     STARTING,
     actor_of,
@@ -35,12 +35,19 @@ from imujoco_minari.training.run import Run
 from imujoco_minari.training.selection import CHOOSING_SEED, Look
 from imujoco_minari.training.sweep import Trained, train, train_all
 from imujoco_minari.training.task import Plan, Task
-from imujoco_minari.variants import Variant
+from imujoco_minari.variants import Variant, catalogue
 
 BASE = Variant.parse("hopper-base")
 LIGHT_LEG = Variant.parse("hopper-massdec_25_leggeom")
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
+
+
+@pytest.fixture(autouse=True)
+def few_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compare the starts of a training in two episodes each, and try two listed contexts."""
+    monkeypatch.setattr(starts, "EPISODES", 2)
+    monkeypatch.setattr(starts, "catalogue", lambda robot: catalogue(robot)[:2])
 
 
 def test_a_killed_run_ends_in_the_weights_of_one_that_was_not(tmp_path: Path) -> None:
