@@ -60,7 +60,7 @@ def _data(dataset_ids: Sequence[str], digest: str) -> Iterator[str]:
     elif found != digest:
         first, last = dataset_ids[0], dataset_ids[-1]
         named = first if first == last else f"a dataset from {first} to {last}"
-        yield f"{named} is not the data of these lines: it has changed, or another processor made it"
+        yield f"{named} is not the data of these lines: another policy, seed or number of episodes"
 
 
 @cache

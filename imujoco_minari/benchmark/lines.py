@@ -35,6 +35,8 @@ _OWN = ("seed", "budget", "results", "seconds")
 _OF_DATA = ("variant", "variants", "robot", "data_sha256", "policies_sha256", "references")
 # Facts are small, and an entry names few of them: a small file cannot stand for many large lines.
 _MOST_FACTS, _MOST_NAMED = 20, 2
+# The metadata that decide a dataset, beside its number of episodes.
+_DECIDES = ("source_sha256", "seed", "policy_sha256", "policy_deterministic", "hyperparameters")
 _PACKAGES = ("imujoco-minari", "mujoco", "gymnasium", "numpy", "jax", "optax")
 
 
@@ -202,18 +204,28 @@ def versions() -> dict[str, str]:
 
 
 def data_sha256(dataset_ids: Iterable[str]) -> str:
-    """Return a digest of the contents of published datasets; that of one dataset is its own.
+    """Return a digest of what decides published datasets: their ids, policies, seeds and numbers of episodes.
+
+    Their arrays depend on the processor architecture too, in the last bits. They are left out, so that
+    results can be continued and compared on any machine.
 
     Raises:
         DatasetNotFoundError: if one is not in the Minari root.
     """
-    digests = []
-    for dataset_id in dataset_ids:
-        if not minari_root.exists(dataset_id):
-            raise not_in_root(dataset_id)
-        metadata = read_metadata(minari_root.dataset_folder(dataset_id) / "data")
-        digests.append(str(metadata.get("content_sha256", "")))
-    return digests[0] if len(digests) == 1 else sha256(" ".join(digests).encode()).hexdigest()
+    recipes = [[dataset_id, _recipe(dataset_id)] for dataset_id in dataset_ids]
+    return sha256(json.dumps(recipes, sort_keys=True).encode()).hexdigest()
+
+
+def _recipe(dataset_id: str) -> dict[str, Any]:
+    """Return the metadata that decide a dataset."""
+    if not minari_root.exists(dataset_id):
+        raise not_in_root(dataset_id)
+    metadata = read_metadata(minari_root.dataset_folder(dataset_id) / "data")
+    found = {key: metadata[key] for key in _DECIDES if key in metadata}
+    if not found:
+        return {"content_sha256": metadata.get("content_sha256", "")}
+    # How many episodes a training run has depends on the processor.
+    return found if "hyperparameters" in found else found | {"total_episodes": metadata["total_episodes"]}
 
 
 @cache

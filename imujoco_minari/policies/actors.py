@@ -1,7 +1,7 @@
 """SAC's squashed Gaussian actor in NumPy.
 
-The actor takes a tenth of the time of ``SAC.predict``. Its deterministic action equals that of
-``SAC.predict`` within float32 rounding.
+The actor takes a tenth of the time of ``SAC.predict``. Its deterministic action differs from that of
+``SAC.predict`` by less than 1e-4. Its bits are the same on every processor.
 """
 
 from __future__ import annotations
@@ -21,23 +21,24 @@ from imujoco_minari.variants import known_robots, specification
 LOG_STD_RANGE = (-20.0, 2.0)
 _ACTIVATIONS = ("ReLU", "Tanh", "ELU", "SiLU")
 
-# OpenBLAS uses several threads for a matrix-vector product of more than 9216 elements. The last bits of
-# the sum then depend on the number of threads, so on the machine and on its load.
-_BLOCK = 8192
-# An array, because NumPy takes half a microsecond to convert a Python number at each call.
-_ZERO = np.zeros((), np.float32)
+# Weights are rounded to multiples of 2^-24, and inputs and outputs of layers to multiples of 2^-20. A sum of
+# their products is exact in float64 while it is below 512. So the bits of an action depend neither on the
+# processor nor on the number of threads nor on the other observations.
+_WEIGHT_UNIT = 2.0**-24
+# A float64 is rounded to a multiple of 2^-20 if this is added and subtracted again. It is an array, because
+# NumPy takes half a microsecond to convert a Python number at each call.
+_ROUNDING = np.array(1.5 * 2.0**32)
+_ZERO = np.zeros(())
+_MAX_INPUTS = 8192
 
-# Number of observations that act_together() takes at once. At 16, loading the weights no longer dominates.
+# Number of episodes that run side by side. At 16, loading the weights no longer dominates.
 LANES = 16
-# Rows of one matrix product. With more, OpenBLAS's kernels for AVX2 round a row by its place.
-_ROWS = 8
 
 
 class _Layer(NamedTuple):
-    """An affine layer: weight (in, out), and that of a large layer in blocks (blocks, in, out / blocks)."""
+    """An affine layer in float64: the weight (in, out), and the bias (out,) plus ``_ROUNDING``."""
 
     weight: Array
-    blocks: Array | None
     bias: Array
 
 
@@ -127,8 +128,6 @@ class Actor(Doors):
     def act(self, observation: Array, rng: np.random.Generator | None = None) -> Array:
         """Return the action, float32 in ``[-bound, bound]``, for an observation.
 
-        The result for a row of a batch differs from the result for that row alone by float32 rounding.
-
         Args:
             observation: of shape ``(n,)``, or a batch of shape ``(b, n)``.
             rng: source of the sample; a deterministic actor does not use it.
@@ -139,57 +138,53 @@ class Actor(Doors):
         """
         try:
             latent = self._latent(observation)
-        except (ValueError, AttributeError):  # a check before each action would take 5 % of its time
+        except (ValueError, TypeError):  # a check before each action would take 5 % of its time
             latent = self._latent(self._fitting(observation))
-        _, means, deviations = self._layers
-        mean = _affine(latent, means)
-        if not self.deterministic:
-            log_std = np.clip(_affine(latent, deviations), *LOG_STD_RANGE)
-            mean = mean + np.exp(log_std) * given(rng).standard_normal(mean.shape, dtype=np.float32)
-        return self._scale(np.tanh(mean))
-
-    def distribution(self, observation: Array) -> tuple[Array, Array]:
-        """Return mean and log deviation of the Gaussian before squashing, each of shape (..., action size).
-
-        Args:
-            observation: of shape ``(n,)``, or a batch of shape ``(b, n)``.
-        """
-        latent, (_, means, deviations) = self._latent(observation), self._layers
-        return _affine(latent, means), np.clip(_affine(latent, deviations), *LOG_STD_RANGE)
-
-    def _latent(self, observation: Array) -> Array:
-        latent = observation.astype(np.float32)
-        for layer in self._layers[0]:
-            latent = self._activate(_affine(latent, layer))
-        return latent
+        if self.deterministic:
+            return self._action(latent)
+        shape = *latent.shape[:-1], self.action_size
+        return self._action(latent, given(rng).standard_normal(shape, dtype=np.float32))
 
     def act_together(self, observations: Array, rngs: Sequence[np.random.Generator]) -> Array:
-        """Return the actions, of shape (b, action size), for several observations.
+        """Return the actions, of shape (b, action size), for several observations, as :meth:`act` does.
 
-        An action does not depend on the other observations or on their number, to the last bit. It
-        differs from the result of :meth:`act` by float32 rounding. An observation takes 2.3 us here and
-        10 us in :meth:`act`.
+        An observation of 16 takes 3 us here and 13 us in :meth:`act`.
 
         Args:
-            observations: of shape (b, n), with b at most ``LANES``.
+            observations: of shape (b, n).
             rngs: a source of samples for each observation; a deterministic actor does not use them.
 
         Raises:
             ArgumentError: when the observations have another length than the actor takes.
         """
-        latent = np.zeros((LANES, self.observation_size), np.float32)
-        latent[: len(observations)] = self._fitting(observations)
-        hidden, means, deviations = self._layers
-        for layer in hidden:
-            latent = self._activate(_affine_together(latent, layer))
-        mean = _affine_together(latent, means)
-        if not self.deterministic:
-            log_std = np.clip(_affine_together(latent, deviations), *LOG_STD_RANGE)
-            for row, rng in enumerate(rngs):
-                mean[row] += np.exp(log_std[row]) * rng.standard_normal(mean.shape[1], dtype=np.float32)
-        return self._scale(np.tanh(mean[: len(observations)]))
+        latent = self._latent(self._fitting(observations))
+        if self.deterministic:
+            return self._action(latent)
+        draws = [rng.standard_normal(self.action_size, dtype=np.float32) for rng in rngs]
+        return self._action(latent, np.array(draws))
 
-    def _scale(self, action: Array) -> Array:
+    def distribution(self, observation: Array) -> tuple[Array, Array]:
+        """Return mean and log deviation of the Gaussian before squashing, each float32 (..., action size).
+
+        Args:
+            observation: of shape ``(n,)``, or a batch of shape ``(b, n)``.
+        """
+        latent, (_, means, deviations) = self._latent(observation), self._layers
+        log_std = np.clip(_affine(latent, deviations), *LOG_STD_RANGE)
+        return _affine(latent, means).astype(np.float32), log_std.astype(np.float32)
+
+    def _latent(self, observation: Array) -> Array:
+        latent = _rounded(observation)
+        for layer in self._layers[0]:
+            latent = self._activate(_affine(latent, layer))
+        return latent
+
+    def _action(self, latent: Array, noise: Array | None = None) -> Array:
+        _, means, deviations = self._layers
+        mean = _affine(latent, means)
+        if noise is not None:
+            mean += np.exp(np.clip(_affine(latent, deviations), *LOG_STD_RANGE)) * noise
+        action = np.tanh(mean).astype(np.float32)
         return action if self.bound == 1.0 else action * np.float32(self.bound)
 
     def for_robot(self, robot: str) -> Actor:
@@ -225,48 +220,31 @@ class Actor(Doors):
 
     def _layer(self, name: str) -> _Layer:
         weight, bias = (self.weights[f"{name}.{part}"].astype(np.float32) for part in ("weight", "bias"))
-        size, inputs = weight.shape
-        count = next(n for n in range(1, size + 1) if size % n == 0 and inputs * size // n <= _BLOCK)
-        blocks = None
-        if count > 1:
-            blocks = np.ascontiguousarray(weight.reshape(count, size // count, inputs).transpose(0, 2, 1))
-        return _Layer(np.ascontiguousarray(weight.T), blocks, bias)
+        rounded = np.rint(weight.T.astype(np.float64) / _WEIGHT_UNIT) * _WEIGHT_UNIT
+        return _Layer(np.ascontiguousarray(rounded), bias + _ROUNDING)
 
     def _activate(self, x: Array) -> Array:
         if self.activation == "ReLU":
             return np.maximum(x, _ZERO, out=x)
         if self.activation == "Tanh":
-            return np.asarray(np.tanh(x))
+            return _rounded(np.tanh(x))
         if self.activation == "ELU":
-            return np.where(x > 0, x, np.expm1(np.minimum(x, 0.0)))
-        return np.asarray(x / (1.0 + np.exp(-x)))
+            return _rounded(np.where(x > 0, x, np.expm1(np.minimum(x, 0.0))))
+        return _rounded(x / (1.0 + np.exp(-x)))
 
 
 def _affine(x: Array, layer: _Layer) -> Array:
-    """Return the layer's output. For one observation it does not depend on the number of threads."""
-    weight, blocks, bias = layer
-    y: Array
-    if x.ndim > 1:
-        y = x @ weight
-    elif blocks is None:
-        y = np.dot(x, weight)
-    else:
-        y = np.matmul(x, blocks).ravel()
-    y += bias
+    """Return the layer's output, rounded."""
+    y: Array = x @ layer.weight
+    y += layer.bias
+    y -= _ROUNDING
     return y
 
 
-def _affine_together(x: Array, layer: _Layer) -> Array:
-    """Return the layer's output for ``LANES`` rows, with products whose sizes are always the same."""
-    weight, blocks, bias = layer
-    groups = x.reshape(LANES // _ROWS, _ROWS, -1)
-    y: Array = (
-        np.matmul(groups, weight)
-        if blocks is None
-        else np.matmul(groups[:, None], blocks).transpose(0, 2, 1, 3)
-    )
-    y = y.reshape(LANES, -1)
-    y += bias
+def _rounded(x: Array) -> Array:
+    """Return numbers as float64, rounded to multiples of 2^-20."""
+    y: Array = x + _ROUNDING
+    y -= _ROUNDING
     return y
 
 
@@ -301,8 +279,8 @@ def _check_layer(weights: Mapping[str, Array], name: str, width: int | None) -> 
         raise PolicyError(f"{name}: weight {weight.shape} and bias {bias.shape} are no layer")
     if width is not None and weight.shape[1] != width:
         raise PolicyError(f"{name}: takes {weight.shape[1]} inputs, but the layer before gives {width}")
-    if weight.shape[1] > _BLOCK:
-        raise PolicyError(f"{name}: takes {weight.shape[1]} inputs; the limit is {_BLOCK}")
+    if weight.shape[1] > _MAX_INPUTS:
+        raise PolicyError(f"{name}: takes {weight.shape[1]} inputs; the limit is {_MAX_INPUTS}")
     if not (np.isfinite(weight).all() and np.isfinite(bias).all()):
         raise PolicyError(f"{name}: weights are not finite")
     return int(weight.shape[0])

@@ -6,7 +6,6 @@ Every operation reads the file once and passes the result on.
 from __future__ import annotations
 
 import json
-import os
 import platform
 from collections.abc import Iterable, Iterator, Mapping
 from importlib.metadata import version
@@ -111,14 +110,9 @@ def provenance(
 
 def processor() -> dict[str, Any]:
     """Return the metadata about the processor of this machine."""
-    # BLAS and the C library round the last bit differently with and without these instructions.
-    found = {
-        "machine": platform.machine(),
-        "simd": np.show_config(mode="dicts")["SIMD Extensions"]["found"],
-    }
-    # This variable makes BLAS act as on another processor.
-    acted = os.environ.get("OPENBLAS_CORETYPE")
-    return found | ({"openblas_coretype": acted} if acted else {})
+    extensions = np.show_config(mode="dicts")["SIMD Extensions"]
+    # NumPy states none that a processor has beside those that it needs.
+    return {"machine": platform.machine(), "simd": extensions.get("found", [])}
 
 
 def complete_metadata(data: Path, metadata: Mapping[str, Any]) -> None:

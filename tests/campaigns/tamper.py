@@ -34,7 +34,7 @@ from imujoco_minari.verification import inspect
 # The campaign makes digests and the size right again. No check can know the rest: see docs/promises.md.
 # Minari uses jpeg_encoding for images only, and NumPy is one of the versions.
 RESEALED = {"file_sha256", "metadata_sha256", "content_sha256", "dataset_size", "sha256"}
-UNKNOWABLE = {"description", "author", "machine", "simd", "openblas_coretype", "jpeg_encoding", "versions"}
+UNKNOWABLE = {"description", "author", "machine", "simd", "jpeg_encoding", "versions"}
 # Of a collection also the sources and policies that it should have, and its own name.
 UNKNOWABLE_OF_COLLECTIONS = UNKNOWABLE | {
     "combined_datasets",

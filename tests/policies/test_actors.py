@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -15,6 +18,7 @@ from imujoco_minari.envs.registration import make
 from imujoco_minari.errors import DatasetExistsError, PolicyError
 from imujoco_minari.policies import Actor, RandomPolicy, load_policy, read_actor
 from imujoco_minari.policies.sb3 import export_zip
+from imujoco_minari.storage.metadata import processor
 from imujoco_minari.variants import Variant
 
 HOPPER = Variant.parse("hopper-massdec_25_leggeom")
@@ -41,7 +45,7 @@ def test_an_exported_zip_predicts_as_the_actor_acts_and_reads_back(
     rng = np.random.default_rng(0)
     for observation in observations:
         predicted, _ = model.predict(observation, deterministic=True)
-        assert actor.act(observation, rng) == pytest.approx(predicted, abs=2e-6)
+        assert actor.act(observation, rng) == pytest.approx(predicted, abs=1e-5)
     read = read_actor(path)
     assert read.sha256 == actor.sha256
     assert read.activation == activation
@@ -63,10 +67,57 @@ def test_an_exported_zip_replaces_no_zip_of_others(tmp_path: Path) -> None:
     assert path.read_bytes() == before
 
 
-def test_a_batch_acts_as_its_rows_do(observations: Any) -> None:
-    actor, rng = random_actor(), np.random.default_rng(0)
-    rows = np.array([actor.act(observation, rng) for observation in observations])
-    assert actor.act(observations, rng) == pytest.approx(rows, abs=1e-6)
+def test_an_action_has_the_same_bits_in_whatever_company(observations: Any) -> None:
+    rngs = [np.random.default_rng(row) for row in range(50)]
+    for deterministic in (True, False):
+        actor = random_actor(deterministic=deterministic)
+        alone = [actor.act(row, np.random.default_rng(i)) for i, row in enumerate(observations)]
+        together = actor.act_together(observations, [np.random.default_rng(row) for row in range(50)])
+        assert together.tobytes() == np.array(alone).tobytes()
+        for count in (1, 2, 7, 16):
+            chosen = actor.act_together(observations[-count:], rngs[-count:])
+            assert not deterministic or chosen.tobytes() == together[-count:].tobytes()
+    assert (
+        random_actor().act(observations).tobytes() == random_actor().act_together(observations, []).tobytes()
+    )
+
+
+# Computed on a processor without AVX-512.
+KNOWN = "40b5715dcf6264a901ad895457db02dd584095038914010da0339a8284785af7"
+ACT = """
+import hashlib
+import numpy as np
+from random_actors import random_actor
+
+digest, rng = hashlib.sha256(), np.random.default_rng(0)
+for activation in ("ReLU", "Tanh", "ELU", "SiLU"):
+    for deterministic in (True, False):
+        actor = random_actor(activation=activation, deterministic=deterministic)
+        digest.update(actor.act(2 * rng.standard_normal((200, 11)), rng).tobytes())
+print(digest.hexdigest())
+"""
+
+
+@pytest.mark.parametrize("seen_as", ["it is", "Haswell", "Nehalem", "without SIMD", "with three threads"])
+def test_the_bits_of_actions_are_the_same_on_every_processor(seen_as: str) -> None:
+    # The kernels of BLAS and of NumPy are those of other processors.
+    changed = {
+        "it is": {},
+        "without SIMD": {
+            "NPY_DISABLE_CPU_FEATURES": " ".join(processor()["simd"]),
+            "OPENBLAS_CORETYPE": "Prescott",
+        },
+        "with three threads": {"OPENBLAS_NUM_THREADS": "3"},
+    }.get(seen_as, {"OPENBLAS_CORETYPE": seen_as})
+    tests = str(Path(__file__).parents[1])
+    said = subprocess.run(
+        [sys.executable, "-c", ACT],
+        env=os.environ | changed | {"PYTHONPATH": tests},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert said.stdout.strip() == KNOWN
 
 
 def test_a_stochastic_actor_samples_about_its_mode_and_repeats_by_seed(observations: Any) -> None:

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import gc
-import os
 import shutil
-import subprocess
-import sys
 import warnings
 from contextlib import contextmanager
 
@@ -19,7 +16,7 @@ from actor_datasets import random_weights
 from minari.dataset.minari_storage import MinariStorage
 
 from imujoco_minari.envs.registration import environment_spec, make
-from imujoco_minari.policies import LANES, Actor, RandomPolicy
+from imujoco_minari.policies import Actor, RandomPolicy
 from imujoco_minari.policies.rollouts import episode_seed, roll_out
 from imujoco_minari.publishing.collector import Collector, collect
 from imujoco_minari.storage import file_format
@@ -166,30 +163,3 @@ def test_episodes_of_an_actor_do_not_depend_on_what_is_rolled_out_beside_them(tm
             _, same = everything[f"episode_{episode}"]
             assert all(arrays[key].tobytes() == same[key].tobytes() for key in same)
         shutil.rmtree(tmp_path / "some")
-
-
-def test_an_observation_gives_the_same_action_in_whatever_company():
-    rng = np.random.default_rng(0)
-    observations = rng.standard_normal((LANES, 11))
-    actor = untrained()
-    together = actor.act_together(observations, [])
-    for count in range(1, LANES + 1):
-        for shift in range(count):
-            rows = (np.arange(count) + shift) % LANES
-            assert actor.act_together(observations[rows], []).tobytes() == together[rows].tobytes()
-    alone = [actor.act(observation, rng) for observation in observations]
-    np.testing.assert_allclose(together, alone, rtol=0, atol=1e-5)
-
-
-@pytest.mark.parametrize(("kernels", "extension"), [("Haswell", "X86_V3"), ("Nehalem", "X86_V2")])
-def test_the_same_holds_for_the_kernels_of_other_processors(kernels, extension):
-    found = np.show_config(mode="dicts")["SIMD Extensions"]
-    if extension not in found["baseline"] + found["found"]:
-        pytest.skip(f"this processor has no {extension}")
-    test = f"{__file__}::{test_an_observation_gives_the_same_action_in_whatever_company.__name__}"
-    subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", test],
-        env=os.environ | {"OPENBLAS_CORETYPE": kernels},
-        check=True,
-        capture_output=True,
-    )

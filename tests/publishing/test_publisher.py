@@ -127,8 +127,7 @@ def test_the_episodes_are_those_of_the_policy_in_the_environment(dataset: minari
         observation, _ = env.reset(seed=attrs["seed"])
         for step in range(len(episode)):
             assert np.array_equal(observation, episode.observations[step])
-            # Actors may be evaluated in batches, which round otherwise in the last bits.
-            assert episode.actions[step] == pytest.approx(actor.act(observation, rng), abs=1e-5)
+            assert np.array_equal(episode.actions[step], actor.act(observation, rng))
             observation, reward, terminated, truncated, _ = env.step(episode.actions[step])
             assert (reward, terminated, truncated) == (
                 episode.rewards[step],

@@ -58,18 +58,6 @@ def test_other_content_of_the_same_recipe_is_a_finding(listed: Path) -> None:
     assert finding.what.endswith("as published with other machine")
 
 
-def test_other_kernels_of_blas_are_named(listed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With other kernels the policy's actions may differ in the last bit, so the content may too."""
-    monkeypatch.setenv("OPENBLAS_CORETYPE", "Nehalem")
-    publish("hopper-base", episodes=1, force=True)
-    content = json.loads(listed.read_text())
-    content["datasets"][BASE]["content_sha256"] = "0" * 64
-    listed.write_text(json.dumps(content))
-    published._content.cache_clear()
-    (finding,) = verify(BASE, replay=False, published=True)
-    assert finding.what.endswith("as published with other openblas_coretype")
-
-
 def test_a_dataset_that_is_not_listed(listed: Path, capsys: pytest.CaptureFixture[str]) -> None:
     name = publish("hopper-base", tier="random", episodes=1).dataset_id
     assert run(["verify", name, "--published"]) == 2
