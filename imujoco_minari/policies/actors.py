@@ -21,10 +21,10 @@ from imujoco_minari.variants import known_robots, specification
 LOG_STD_RANGE = (-20.0, 2.0)
 _ACTIVATIONS = ("ReLU", "Tanh", "ELU", "SiLU")
 
-# Weights are rounded to multiples of 2^-24, and inputs and outputs of layers to multiples of 2^-20. A sum of
-# their products is exact in float64 while it is below 512. So the bits of an action depend neither on the
+# Weights are rounded to multiples of 2^-22, and inputs and outputs of layers to multiples of 2^-20. A sum of
+# their products is exact in float64 while it is below 2048. So the bits of an action depend neither on the
 # processor nor on the number of threads nor on the other observations.
-_WEIGHT_UNIT = 2.0**-24
+_WEIGHT_UNIT = 2.0**-22
 # A float64 is rounded to a multiple of 2^-20 if this is added and subtracted again. It is an array, because
 # NumPy takes half a microsecond to convert a Python number at each call.
 _ROUNDING = np.array(1.5 * 2.0**32)

@@ -74,7 +74,7 @@ def roll_out_together(
     than a third of the time of separate calls, and an episode does not depend on those that run beside it.
 
     Args:
-        envs: equal environments that end every episode; at most ``policies.LANES``.
+        envs: equal environments that end every episode.
         act: computes the actions: :func:`~imujoco_minari.policies.adapters.batch_act` of a policy.
         seeds: seeds of the episodes, in the order in which they begin.
         on_begin: called before each reset with the numbers of the environment and of the episode.

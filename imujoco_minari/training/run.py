@@ -216,10 +216,9 @@ class Run:
         """Return actions that the present policy samples, in [-1, 1]."""
         if self._actor is None:
             self._actor = Actor(actor_weights(self._agent), ALGORITHM)
-        # For one observation, the result does not depend on the number of threads.
-        mean, log_std = self._actor.distribution(inputs if len(inputs) > 1 else inputs[0])
+        mean, log_std = self._actor.distribution(inputs)
         noise = self._rng.standard_normal(mean.shape, dtype=np.float32)
-        return np.asarray(np.tanh(mean + np.exp(log_std) * noise)).reshape(len(inputs), -1)
+        return np.asarray(np.tanh(mean + np.exp(log_std) * noise))
 
     def _update(self, delay: int) -> None:
         """Call the update loop once."""
