@@ -19,7 +19,7 @@ import numpy as np
 from imujoco_minari.envs.mjcf import canonical_mjcf, mjcf_sha256
 from imujoco_minari.errors import JobError, PolicyNotFoundError, TransferError
 from imujoco_minari.parallel import run_jobs
-from imujoco_minari.policies import Actor, Policy, expert_actor, expert_variants
+from imujoco_minari.policies import Actor, Policy, expert_actor, expert_record
 from imujoco_minari.policies.evaluation import Evaluation, evaluate
 from imujoco_minari.policies.records import EVALUATION
 from imujoco_minari.short_repr import short_repr
@@ -73,13 +73,12 @@ class _Cell(NamedTuple):
 
 
 def expert_policies(robot: str, category: str | None = None) -> dict[str, Policy]:
-    """Return the expert policies of a robot's :func:`columns` by the ids of their variants.
+    """Return the expert policies of a robot's :func:`columns`, own and folded, by the ids of their variants.
 
     Raises:
-        PolicyNotFoundError: if no expert of them has been trained.
+        PolicyNotFoundError: if none of them has an expert.
     """
-    trained = set(expert_variants())
-    chosen = [variant for variant in columns(robot, category) if variant in trained]
+    chosen = [variant for variant in columns(robot, category) if expert_record(variant)]
     if not chosen:
         raise PolicyNotFoundError(
             f"no expert policy of {robot}{f' for {category}' if category else ''}: train some with "

@@ -17,6 +17,7 @@ from imujoco_minari.errors import JobError, PolicyError, PolicyNotFoundError, St
 from imujoco_minari.policies import Actor, Policy, RandomPolicy
 from imujoco_minari.policies import transfer as module
 from imujoco_minari.policies.evaluation import evaluate
+from imujoco_minari.policies.experts import is_folded
 from imujoco_minari.policies.transfer import (
     COLUMNS,
     Transfer,
@@ -185,17 +186,18 @@ def test_the_columns_are_the_base_and_the_catalogue() -> None:
 
 
 def test_without_experts_it_is_said_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "expert_variants", lambda: ())
+    monkeypatch.setattr(module, "expert_record", lambda variant: {})
     with pytest.raises(
         PolicyNotFoundError, match=r"no expert policy of hopper for mass: train .* --policy FILE"
     ):
         expert_policies("hopper", "mass")
 
 
-def test_the_experts_come_in_the_order_of_the_columns(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "expert_variants", lambda: tuple(reversed(VARIANTS)))
-    monkeypatch.setattr(module, "expert_actor", lambda variant: actor(3))
-    assert list(expert_policies("hopper")) == [str(variant) for variant in VARIANTS]
+def test_every_variant_of_a_robot_has_its_expert_in_the_matrix_be_it_own_or_folded() -> None:
+    assert list(expert_policies("hopper")) == [str(variant) for variant in columns("hopper")]
+    folded = expert_policies("hopper", "joint")["hopper-jointdec_25_legjoint"]
+    assert isinstance(folded, Actor)
+    assert is_folded(folded.record)
 
 
 def test_the_command_writes_numbers_and_pictures_and_goes_on(
