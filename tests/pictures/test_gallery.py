@@ -14,7 +14,7 @@ import h5py
 import minari
 import pytest
 
-from imujoco_minari import policies, publish
+from imujoco_minari import publish
 from imujoco_minari.cli.app import run
 from imujoco_minari.envs import gl
 from imujoco_minari.envs.differences import differences
@@ -23,7 +23,7 @@ from imujoco_minari.pictures.gallery import build, clips, entries
 from imujoco_minari.pictures.gallery.pages import short, snippets, summary
 from imujoco_minari.pictures.rendering.scene import COLOURS
 from imujoco_minari.pictures.rendering.studio import Studio
-from imujoco_minari.policies import RandomPolicy
+from imujoco_minari.policies import RandomPolicy, experts, policies_folder, references
 from imujoco_minari.variants import Variant, catalogue
 
 # What the pages say follows from what a test publishes and trains, not from what is shipped today.
@@ -32,12 +32,6 @@ pytestmark = pytest.mark.usefixtures("unshipped")
 LEG = Variant.parse("hopper-massdec_25_leggeom")
 FOOT = Variant.parse("hopper-lengthinc_50_footgeom")
 VOID = {"meta", "link", "img", "input", "wbr", "source", "br"}
-
-
-@pytest.fixture(autouse=True)
-def no_experts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever experts are shipped, these tests are of a package without."""
-    monkeypatch.setattr(policies, "find_policy_file", lambda name, folder=None: None)
 
 
 @pytest.fixture
@@ -173,7 +167,7 @@ def test_an_experts_record_is_told_and_sorted_by(
     evaluation = {"return_mean": 3183.5, "return_std": 12.0, "length_mean": 1000.0, "episodes": 100}
     random = {"return_mean": 18.25, "return_std": 3.0, "length_mean": 22.0, "episodes": 100}
     record = {"algorithm": "TQC", "evaluation": evaluation, "random": random}
-    monkeypatch.setattr(entries, "expert_record", lambda variant: record if variant == LEG else {})
+    monkeypatch.setattr(entries, "measured_record", lambda variant: record if variant == LEG else {})
     monkeypatch.setattr(
         clips, "choose_policy", lambda variant: (RandomPolicy(3), "expert" if variant == LEG else "random")
     )
@@ -191,6 +185,19 @@ def test_an_experts_record_is_told_and_sorted_by(
     assert f"imujoco publish {LEG} --tier" not in text
 
 
+def test_an_expert_that_was_not_measured_yet_is_measured_for_its_page(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    policies_folder().mkdir(parents=True)
+    for ending in ("json", "safetensors"):
+        shutil.copy(experts.shipped_folder() / f"hopper-universal.{ending}", policies_folder())
+    monkeypatch.setattr(references, "EPISODES", 2)
+    expert, random = entries.scores(Variant.parse("hopper-massinc_37_torsogeom"))
+    assert (expert.tier, random.tier) == ("expert", "random")
+    assert expert.episodes == random.episodes == 2
+    assert expert.return_mean > 50 * random.return_mean > 0
+
+
 def test_cards_state_scores_normalised_by_the_base(
     tmp_path: Path, drawn: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -200,7 +207,7 @@ def test_cards_state_scores_normalised_by_the_base(
         evaluation = {} if expert is None else {"evaluation": {"return_mean": expert, **rest}}
         return {"algorithm": "SAC", "random": {"return_mean": 20.0, **rest}, **evaluation}
 
-    monkeypatch.setattr(entries, "expert_record", record)
+    monkeypatch.setattr(entries, "measured_record", record)
     build(tmp_path / "site", [LEG, FOOT])
     page = Page(tmp_path / "site" / "index.html")
     cards = {card["data-words"].split()[0]: card for card in page.all("li") if "data-words" in card}

@@ -11,8 +11,9 @@ import numpy as np
 
 from imujoco_minari.envs.differences import Difference
 from imujoco_minari.errors import VariantError
-from imujoco_minari.policies import expert_record, random_policy
+from imujoco_minari.policies import random_policy
 from imujoco_minari.policies.measuring import Episodes, measure
+from imujoco_minari.policies.references import measured_record
 from imujoco_minari.policies.tiers import RANDOM
 from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.storage.metadata import read_metadata
@@ -91,7 +92,7 @@ def scores(variant: Variant) -> tuple[Score, ...]:
 
     They come from the expert's record, the published datasets and the random policy.
     """
-    record = expert_record(variant)
+    record = measured_record(variant)
     found: dict[str, Score] = {}
     if "evaluation" in record:
         found[EXPERT] = _score(EXPERT, str(record["algorithm"]), record["evaluation"])

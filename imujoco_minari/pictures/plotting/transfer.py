@@ -50,7 +50,7 @@ def draw_transfer(transfer: Transfer) -> Figure:
         axes.set_xticks(range(len(columns)), columns, rotation=90)
         axes.set_yticks(range(len(transfer.policies)), [_row_label(name) for name in transfer.policies])
         axes.set_xlabel("evaluated on the variant; circle: the policy's own")
-        axes.set_ylabel("policy trained on")
+        axes.set_ylabel("policy")
         axes.tick_params(length=0)
         axes.spines[:].set_visible(False)
         _separate_categories(axes, transfer)
@@ -76,7 +76,7 @@ def _separate_categories(axes: Axes, transfer: Transfer) -> None:
 
 
 def _mark_own_variants(axes: Axes, transfer: Transfer) -> None:
-    """Mark the cell of each policy on the variant that it was trained on."""
+    """Mark the cell of each expert on its own variant."""
     names = list(map(str, transfer.variants))
     own = [(names.index(policy), row) for row, policy in enumerate(transfer.policies) if policy in names]
     if own:
