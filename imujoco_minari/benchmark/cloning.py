@@ -6,6 +6,7 @@ the network comes from.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -15,15 +16,18 @@ import numpy as np
 from imujoco_minari.benchmark.networks import (
     BATCH,
     Initial,
+    Loss,
     Network,
     bind,
-    clone,
+    cloning_loss,
+    descend,
     new_policy,
     of_actor,
+    padded,
     to_actor,
 )
 from imujoco_minari.benchmark.protocol import STEPS
-from imujoco_minari.loading import Arrays, Origin, Statistics
+from imujoco_minari.loading import Arrays, Statistics
 from imujoco_minari.loading.statistics import measure
 from imujoco_minari.policies import Actor, Array, expert_actor
 from imujoco_minari.policies.universal import whole_context
@@ -74,18 +78,38 @@ class BaseExpert(FineTuned):
 
 
 @dataclass
-class Pretrained(FineTuned):
-    """A network that ``fit`` learns from the training variants, and ``adapt`` fine-tunes.
+class Fitted(ABC):
+    """A method whose network learns from the training variants.
 
     Attributes:
+        seed: seed of the weights and of the batches.
         fit_rate: learning rate on the training variants.
         fit_steps: steps on the training variants.
     """
 
+    seed: int = 0
     fit_rate: float = 1e-3
     fit_steps: int = 20_000
     _network: Any = field(default=None, init=False, repr=False)
     _statistics: Any = field(default=None, init=False, repr=False)
+
+    def fit(self, train: Arrays) -> None:
+        """Train the network on the training variants."""
+        self._statistics = robust_statistics(train.observations)
+        task, steps = self.task(self._statistics.normalize(train.observations), train), self.fit_steps
+        self._network = descend(*task, [steps], rate=self.fit_rate, seed=self.seed)[steps]
+
+    @abstractmethod
+    def task(self, inputs: Array, train: Arrays) -> tuple[Loss, Any, tuple[Any, ...]]:
+        """Return what ``fit`` minimises: a loss, from which network, and the loss's data.
+
+        The network takes the inputs, which are the normalised observations.
+        """
+
+
+@dataclass
+class Pretrained(Fitted, FineTuned):
+    """A network that ``fit`` learns from the training variants, and ``adapt`` fine-tunes."""
 
     def adapt(self, demonstrations: Arrays) -> Mapping[int, Any]:
         """Return the policies after each number of steps on the demonstrations."""
@@ -102,23 +126,19 @@ class MultiVariant(Pretrained):
 
     told: bool = False
 
-    def fit(self, train: Arrays) -> None:
+    def task(self, inputs: Array, train: Arrays) -> tuple[Loss, Any, tuple[Any, ...]]:
         """Clone the behaviour of all training variants."""
-        self._statistics = robust_statistics(train.observations)
-        inputs = self._statistics.normalize(train.observations)
         if self.told:
-            contexts = np.array([context_of(origin) for origin in train.table])
-            inputs = np.concatenate((inputs, contexts[train.variant_index]), axis=1)
-        network = new_policy(inputs, train.actions, self.seed)
-        self._network = clone(
-            network, inputs, train.actions, [self.fit_steps], rate=self.fit_rate, seed=self.seed, batch=256
-        )[self.fit_steps]
+            told = contexts_of(train).astype(np.float32)[train.variant_index]
+            inputs = np.concatenate((inputs, told), axis=1)
+        data = (padded(inputs), padded(train.actions), len(inputs))
+        return cloning_loss(256), new_policy(inputs, train.actions, self.seed), data
 
     def adapt(self, demonstrations: Arrays) -> Mapping[int, Actor]:
         """Return the policies after each number of steps on the demonstrations."""
         if not self.told:
             return super().adapt(demonstrations)
-        network = bind(self._network, context_of(demonstrations.table[0]))
+        network = bind(self._network, contexts_of(demonstrations)[0].astype(np.float32))
         return {0: to_actor(network, self._statistics, "behaviour cloning")}
 
 
@@ -167,13 +187,14 @@ def fine_tune(
     The network takes observations that ``statistics`` normalise.
     """
     inputs = statistics.normalize(data.observations)
-    networks = clone(network, inputs, data.actions, checkpoints, rate=rate, seed=seed, batch=batch)
+    columns = (padded(inputs), padded(data.actions), len(inputs))
+    networks = descend(cloning_loss(batch), network, columns, checkpoints, rate=rate, seed=seed)
     return {steps: to_actor(found, statistics, "behaviour cloning") for steps, found in networks.items()}
 
 
-def context_of(origin: Origin) -> Array:
-    """Return the context of a variant: the change of every parameter of its robot."""
-    return whole_context(Variant.parse(origin.variant)).astype(np.float32)
+def contexts_of(data: Arrays) -> Array:
+    """Return the context of each variant of the data: the change of every parameter of its robot."""
+    return np.array([whole_context(Variant.parse(origin.variant)) for origin in data.table])
 
 
 def robust_statistics(observations: Array) -> Statistics:

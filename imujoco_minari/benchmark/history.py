@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from imujoco_minari.benchmark.cloning import Pretrained, robust_statistics
+from imujoco_minari.benchmark.cloning import Pretrained
 from imujoco_minari.benchmark.networks import HIDDEN, Loss, descend, forward, new_network, padded
 from imujoco_minari.loading import Arrays, Statistics
 from imujoco_minari.policies import LANES, Array
@@ -38,32 +38,26 @@ class History(Pretrained):
     units: int = 64
     sequences: int = 8
 
-    def fit(self, train: Arrays) -> None:
+    def task(self, inputs: Array, train: Arrays) -> tuple[Loss, Any, tuple[Any, ...]]:
         """Clone the behaviour of all training variants."""
         jax = import_jax()
-        self._statistics = robust_statistics(train.observations)
-        observation, action = train.observations.shape[1], train.actions.shape[1]
+        observation, action = inputs.shape[1], train.actions.shape[1]
         cell, state = _cell(self.units), np.zeros((1, self.units), np.float32)
         step = np.zeros((1, observation + action), np.float32)
         networks = {
             "gru": cell.init(jax.random.key(self.seed), state, step),
             "policy": new_network((observation + self.units, *HIDDEN, action), self.seed),
         }
-        self._network = self._clone(networks, train, [self.fit_steps], self.fit_rate)[self.fit_steps]
+        return sequence_loss(self.sequences, self.window), networks, _columns(inputs, train)
 
     def adapt(self, demonstrations: Arrays) -> Mapping[int, HistoryPolicy]:
         """Return the policies after each number of steps on the demonstrations."""
-        found = self._clone(self._network, demonstrations, self.steps, self.rate)
+        columns = _columns(self._statistics.normalize(demonstrations.observations), demonstrations)
+        loss = sequence_loss(self.sequences, self.window)
+        found = descend(loss, self._network, columns, self.steps, rate=self.rate, seed=self.seed)
         return {
             steps: HistoryPolicy(networks, self._statistics, self.window) for steps, networks in found.items()
         }
-
-    def _clone(self, networks: Any, data: Arrays, steps: Sequence[int], rate: float) -> dict[int, Any]:
-        last = np.repeat(data.episode_ends - 1, data.episode_lengths)
-        inputs = padded(self._statistics.normalize(data.observations))
-        columns = (inputs, padded(data.actions), padded(last, np.int32), len(data))
-        loss = sequence_loss(self.sequences, self.window)
-        return descend(loss, networks, columns, steps, rate=rate, seed=self.seed)
 
 
 class HistoryPolicy:
@@ -163,6 +157,12 @@ def sequence_loss(sequences: int, window: int) -> Loss:
         return (known * ((means - done) ** 2).mean(axis=-1)).sum() / known.sum()
 
     return loss
+
+
+def _columns(inputs: Array, data: Arrays) -> tuple[Any, ...]:
+    """Return the data of :func:`sequence_loss`."""
+    last = np.repeat(data.episode_ends - 1, data.episode_lengths)
+    return padded(inputs), padded(data.actions), padded(last, np.int32), len(data)
 
 
 @cache

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
 import numpy as np
 
-from imujoco_minari.benchmark.cloning import Pretrained, robust_statistics
+from imujoco_minari.benchmark.cloning import Fitted, Pretrained
 from imujoco_minari.benchmark.networks import (
     HIDDEN,
     Loss,
     Network,
     bind,
-    descend,
     draw_variants,
     forward,
     gradient_step,
@@ -26,7 +25,7 @@ from imujoco_minari.benchmark.networks import (
     to_actor,
 )
 from imujoco_minari.loading import Arrays
-from imujoco_minari.policies import Actor
+from imujoco_minari.policies import Actor, Array
 from imujoco_minari.training.agents import import_jax
 
 _ENCODER_HIDDEN = (128, 128)
@@ -54,16 +53,12 @@ class Maml(Pretrained):
     tasks: int = 8
     rows: int = 64
 
-    def fit(self, train: Arrays) -> None:
-        """Find initial weights on the training variants."""
-        self._statistics = robust_statistics(train.observations)
-        inputs = self._statistics.normalize(train.observations)
-        starts, counts = variant_blocks(train)
-        network = new_policy(inputs, train.actions, self.seed)
+    def task(self, inputs: Array, train: Arrays) -> tuple[Loss, Any, tuple[Any, ...]]:
+        """Find initial weights."""
+        rate = np.float32(self.inner_rate)
+        data = (padded(inputs), padded(train.actions), *variant_blocks(train), rate)
         loss = meta_loss(self.tasks, self.rows, self.inner_steps)
-        data = (padded(inputs), padded(train.actions), starts, counts, np.float32(self.inner_rate))
-        steps = self.fit_steps
-        self._network = descend(loss, network, data, [steps], rate=self.fit_rate, seed=self.seed)[steps]
+        return loss, new_policy(inputs, train.actions, self.seed), data
 
 
 @cache
@@ -89,7 +84,7 @@ def meta_loss(tasks: int, rows: int, inner_steps: int) -> Loss:
 
 
 @dataclass
-class SetEncoder:
+class SetEncoder(Fitted):
     """A policy conditioned on the demonstrations: a set encoder turns them into a context vector.
 
     The encoder maps each step (observation, action) to a vector; the mean over the steps is the context.
@@ -97,39 +92,28 @@ class SetEncoder:
     needs no gradient step: it computes the context.
 
     Attributes:
-        seed: seed of the weights and of the batches.
         context: length of the context vector.
-        fit_rate: learning rate.
-        fit_steps: steps on the training variants.
         tasks: training variants in each step.
         rows: rows of a variant for its context, and a quarter as many others to imitate.
     """
 
-    seed: int = 0
     context: int = 16
-    fit_rate: float = 1e-3
-    fit_steps: int = 20_000
     tasks: int = 8
     rows: int = 64
-    _networks: Any = field(default=None, init=False, repr=False)
-    _statistics: Any = field(default=None, init=False, repr=False)
 
-    def fit(self, train: Arrays) -> None:
-        """Train encoder and policy on the training variants."""
-        self._statistics = robust_statistics(train.observations)
-        inputs = self._statistics.normalize(train.observations)
+    def task(self, inputs: Array, train: Arrays) -> tuple[Loss, Any, tuple[Any, ...]]:
+        """Train encoder and policy together."""
         observation, action = inputs.shape[1], train.actions.shape[1]
         networks = (
             new_network((observation + action, *_ENCODER_HIDDEN, self.context), self.seed),
             new_network((observation + self.context, *HIDDEN, action), self.seed + 1),
         )
         data = (padded(inputs), padded(train.actions), *variant_blocks(train))
-        loss, steps = conditioned_loss(self.tasks, self.rows), self.fit_steps
-        self._networks = descend(loss, networks, data, [steps], rate=self.fit_rate, seed=self.seed)[steps]
+        return conditioned_loss(self.tasks, self.rows), networks, data
 
     def adapt(self, demonstrations: Arrays) -> Mapping[int, Actor]:
         """Return the policy with the context of the demonstrations."""
-        encoder, policy = self._networks
+        encoder, policy = self._network
         inputs = self._statistics.normalize(demonstrations.observations)
         steps = np.concatenate((inputs, demonstrations.actions), axis=1).astype(np.float32)
         context = forward(encoder, steps).mean(axis=0)

@@ -131,24 +131,6 @@ def descend(
     return {steps: state.params for steps, state in states.items()}
 
 
-def clone(
-    network: Network,
-    inputs: Array,
-    actions: Array,
-    checkpoints: Sequence[int],
-    *,
-    rate: float,
-    seed: int,
-    batch: int = BATCH,
-) -> dict[int, Network]:
-    """Clone behaviour: :func:`descend` on the squared error of ``tanh(network(inputs))`` to the actions.
-
-    Inputs are (N, in), and actions (N, act) in [-1, 1]. The rows of a batch are drawn with replacement.
-    """
-    data = (padded(inputs), padded(actions), len(inputs))
-    return descend(cloning_loss(batch), network, data, checkpoints, rate=rate, seed=seed)
-
-
 def squared_error(network: Network, inputs: Any, actions: Any) -> Any:
     """Return the mean squared error of ``tanh(network(inputs))`` to the actions."""
     return ((import_jax().numpy.tanh(forward(network, inputs)) - actions) ** 2).mean()
@@ -156,7 +138,10 @@ def squared_error(network: Network, inputs: Any, actions: Any) -> Any:
 
 @cache
 def cloning_loss(batch: int, error: Loss = squared_error) -> Loss:
-    """Return the loss of behaviour cloning on batches of some size; its data are (inputs, actions, rows)."""
+    """Return the loss of behaviour cloning on batches of some size, whose rows are drawn with replacement.
+
+    Its data are inputs (N, in) and actions (N, act) in [-1, 1], which are padded, and N.
+    """
     jax = import_jax()
 
     def loss(network: Network, key: Any, data: tuple[Any, ...]) -> Any:

@@ -18,7 +18,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from imujoco_minari.benchmark.cloning import Cloning
+from imujoco_minari.benchmark.cloning import Cloning, contexts_of
 from imujoco_minari.benchmark.critics import Iql, Td3Bc
 from imujoco_minari.benchmark.lines import (
     Line,
@@ -37,7 +37,7 @@ from imujoco_minari.benchmark.protocol import EVALUATION_EPISODES, episode_retur
 from imujoco_minari.errors import BenchmarkChoiceError, BenchmarkError
 from imujoco_minari.loading import Arrays, arrays
 from imujoco_minari.policies.tiers import LARGE_TIERS
-from imujoco_minari.policies.universal import UniversalPolicy, whole_context
+from imujoco_minari.policies.universal import UniversalPolicy
 from imujoco_minari.publishing.recipes import Recipe
 from imujoco_minari.short_repr import short_repr
 from imujoco_minari.storage import minari_root
@@ -113,8 +113,8 @@ class Told:
 
     def train(self, data: Arrays) -> dict[int, UniversalPolicy]:
         """Return the policy at each checkpoint. It takes observation and context."""
-        contexts = np.array([whole_context(Variant.parse(origin.variant)) for origin in data.table])
-        told = contexts[data.variant_index].astype(np.float32)
+        contexts = contexts_of(data)
+        told = contexts.astype(np.float32)[data.variant_index]
         seen = np.concatenate((data.observations, told), axis=1)
         following = np.concatenate((data.next_observations, told), axis=1)
         actors = self._algorithm.train(replace(data, observations=seen, next_observations=following))

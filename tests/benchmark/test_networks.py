@@ -60,7 +60,8 @@ def test_cloning_learns_the_actions() -> None:
     inputs = RNG.normal(size=(200, 3)).astype(np.float32)
     actions = np.tanh(inputs @ np.array([[1.0], [-1.0], [0.5]])).astype(np.float32)
     network = networks.new_network((3, 32, 1), seed=0)
-    found = networks.clone(network, inputs, actions, [0, 300], rate=0.01, seed=0, batch=64)
+    data = (networks.padded(inputs), networks.padded(actions), len(inputs))
+    found = networks.descend(networks.cloning_loss(64), network, data, [0, 300], rate=0.01, seed=0)
     before, after = (
         float(((np.tanh(networks.forward(found[steps], inputs)) - actions) ** 2).mean()) for steps in (0, 300)
     )
