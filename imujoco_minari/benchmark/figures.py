@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from operator import attrgetter
+from typing import Any
 
 from imujoco_minari.benchmark.lines import Line
 from imujoco_minari.benchmark.methods import COMPARISONS
-from imujoco_minari.benchmark.offline import ACROSS_ALGORITHMS, ALGORITHMS, ALL_TIERS, SHIFTED_TIER
+from imujoco_minari.benchmark.offline import SHIFTED_TIER
 from imujoco_minari.benchmark.reproduction import comparison
 from imujoco_minari.benchmark.scores import (
     ALL,
@@ -18,6 +19,7 @@ from imujoco_minari.benchmark.scores import (
     TYPICAL_BUDGET,
     Interval,
     MethodScore,
+    after_most_steps,
     budgets_of,
     in_order,
 )
@@ -60,67 +62,50 @@ def few_shot_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
         for score in whole
         if counts[score.group, score.tier] == max(n for key, n in counts.items() if key[0] == score.group)
     ]
-    figures = _tier_figures(shown)
-    for kind in dict.fromkeys(_kind(score) for score in shown):
+    own = after_most_steps([s for s in shown if s.budget == TYPICAL_BUDGET and s.method not in COMPARISONS])
+    tiers = {group: {score.tier for score in own if score.group == group} for group, _ in counts}
+    title = f"Return by tier, with {TYPICAL_BUDGET} demonstrated"
+    figures = _figure("few-shot-tiers", title, "", "tier", [s for s in own if len(tiers[s.group]) > 1])
+    for kind in dict.fromkeys(map(_kind, shown)):
         chosen = [score for score in shown if _kind(score) == kind]
-        budgets = budgets_of(chosen)
-        steps = sorted({score.steps for score in chosen})
-        last = {score.method: score.steps for score in sorted(chosen, key=lambda score: score.steps)}
-        data, descent = {}, {}
-        for group in dict.fromkeys(score.group for score in chosen):
-            of_group = [score for score in chosen if score.group == group]
-            own = {(s.method, s.budget, s.steps): s.interval for s in of_group}
-            title = f"{group}, {of_group[0].variants} variants"
-            methods = [m for m in in_order({key[0] for key in own}) if m not in COMPARISONS]
-            data[title] = {m: [own.get((m, b, last[m])) for b in budgets] for m in methods}
-            descent[title] = {m: [own.get((m, TYPICAL_BUDGET, s)) for s in steps] for m in methods}
-            for name in COMPARISONS:
-                fixed: list[Interval | None] = [own[key] for key in own if key[0] == name]
-                if fixed and name != "expert":
-                    data[title][f"comparison: {name}"] = fixed[:1] * len(budgets)
-                    descent[title][f"comparison: {name}"] = fixed[:1] * len(steps)
+        titles = {score.group: f"{score.group}, {score.variants} variants" for score in reversed(chosen)}
+        chosen = [replace(score, group=titles[score.group]) for score in chosen]
         stem, tier = f"few-shot-{kind}", f"tier {chosen[0].tier}"
-        if len(budgets) > 1:
-            title, label = f"Return against data, after {max(steps):,} steps", "windows x steps demonstrated"
-            figures.append(ScoreFigure(f"{stem}-data", f"{title}, {tier}", label, tuple(budgets), data))
-        title, ticks = f"Return against steps, with {TYPICAL_BUDGET} demonstrated", tuple(map(str, steps))
-        figures.append(ScoreFigure(f"{stem}-steps", f"{title}, {tier}", "gradient steps", ticks, descent))
+        if len(budgets_of(chosen)) > 1:
+            title = f"Return against data, after {max(score.steps for score in chosen):,} steps, {tier}"
+            label = "windows x steps demonstrated"
+            figures += _figure(f"{stem}-data", title, label, "budget", after_most_steps(chosen))
+        title = f"Return against steps, with {TYPICAL_BUDGET} demonstrated, {tier}"
+        typical = [s for s in chosen if s.budget == TYPICAL_BUDGET or s.method in COMPARISONS]
+        figures += _figure(f"{stem}-steps", title, "gradient steps", "steps", typical)
     return figures
 
 
 def offline_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
-    """Return the figures of offline scores: by tier, by updates, and by category of shifted variants."""
-    if not scores:
-        return []
-    steps = sorted({score.steps for score in scores})
-    tiers = [tier for tier in ALL_TIERS if any(score.tier == tier for score in scores)]
-    by_tier = {tier: (tier, BASE, steps[-1]) for tier in tiers}
-    figures = [_offline_figure("base", "on the base robot", "", by_tier, scores)]
-    for tier in tiers:
-        title = f"return against updates, tier {tier}"
-        by_steps = {_short(number): (tier, BASE, number) for number in steps}
-        figures.append(_offline_figure(f"{tier}-steps", title, "updates", by_steps, scores))
-    present = {score.category for score in scores}
-    by_category = {each: (SHIFTED_TIER, each, steps[-1]) for each in CATEGORIES if each in present}
-    if by_category:
-        title = f"from {SHIFTED_TIER} data of the base to other variants"
-        figures.append(_offline_figure("shifted", title, "", by_category, scores))
-    return figures
+    """Return the figures of offline scores: by tier, by updates, and by category of shifted variants.
+
+    The methods of others are not in them.
+    """
+    own = sorted((s for s in scores if not s.method.endswith(OTHERS_MARK)), key=_robot)
+    base = [score for score in own if score.category == BASE]
+    last, title = after_most_steps(own), "Offline learning: on the base robot"
+    figures = _figure("offline-base", title, "", "tier", [score for score in last if score.category == BASE])
+    for tier in in_order({score.tier for score in base}):
+        title = f"Offline learning: return against updates, tier {tier}"
+        of_tier = [score for score in base if score.tier == tier]
+        figures += _figure(f"offline-{tier}-steps", title, "updates", "steps", of_tier)
+    title = f"Offline learning: from {SHIFTED_TIER} data of the base to other variants"
+    shifted = [score for score in last if score.category in CATEGORIES]
+    return figures + _figure("offline-shifted", title, "", "category", shifted)
 
 
 def across_figures(scores: Sequence[MethodScore]) -> list[ScoreFigure]:
     """Return the figures of scores in held-out variants: by category, and by updates."""
-    if not scores:
-        return []
-    steps = sorted({score.steps for score in scores})
-    present = {score.category for score in scores}
-    by_category = {"all": (SHIFTED_TIER, SHIFTED, steps[-1])}
-    by_category |= {each: (SHIFTED_TIER, each, steps[-1]) for each in CATEGORIES if each in present}
-    by_steps = {_short(number): (SHIFTED_TIER, SHIFTED, number) for number in steps}
-    title = "from many variants to others"
+    title, own = "Offline learning: from many variants to others", sorted(scores, key=_robot)
+    shifted = [score for score in own if score.category == SHIFTED]
     return [
-        _offline_figure("across", title, "", by_category, scores),
-        _offline_figure("across-steps", title, "updates", by_steps, scores),
+        *_figure("offline-across", title, "", "category", after_most_steps(own)),
+        *_figure("offline-across-steps", title, "updates", "steps", shifted),
     ]
 
 
@@ -144,40 +129,28 @@ def reproduction_figures(lines: Sequence[Line]) -> list[ScoreFigure]:
     return [ScoreFigure("reproduction", title, "gradient steps", ticks, panels, label, None)]
 
 
-def _tier_figures(shown: Sequence[MethodScore]) -> list[ScoreFigure]:
-    """Return the figure that compares tiers, if a split has scores of several tiers."""
-    chosen = [s for s in shown if s.budget == TYPICAL_BUDGET and s.method not in COMPARISONS]
-    tiers = tuple(dict.fromkeys(score.tier for score in chosen))
-    last = {score.method: score.steps for score in sorted(chosen, key=lambda score: score.steps)}
-    own = {(s.group, s.method, s.tier): s.interval for s in chosen if s.steps == last[s.method]}
-    panels = {
-        group: {method: [own.get((group, method, tier)) for tier in tiers] for method in in_order(set(last))}
-        for group in dict.fromkeys(score.group for score in chosen)
-        if len({score.tier for score in chosen if score.group == group}) > 1
-    }
-    title = f"Return by tier, with {TYPICAL_BUDGET} demonstrated"
-    return [ScoreFigure("few-shot-tiers", title, "", tiers, panels)] if panels else []
+def _figure(
+    name: str, title: str, x_label: str, field: str, scores: Sequence[MethodScore]
+) -> list[ScoreFigure]:
+    """Return a figure of scores with a panel for each group, and a field of a score on its x axis.
 
-
-def _offline_figure(
-    name: str,
-    title: str,
-    x_label: str,
-    settings: Mapping[str, tuple[str, str, int]],
-    scores: Sequence[MethodScore],
-) -> ScoreFigure:
-    """Return a figure of offline scores with a panel for each group.
-
-    ``settings`` maps the label of a tick to tier, category and number of updates.
+    There is none without scores.
     """
+    methods = [score for score in scores if score.method not in COMPARISONS] or scores
+    ticks = in_order({getattr(score, field) for score in methods})
     panels: dict[str, dict[str, list[Interval | None]]] = {}
-    for group in sorted({s.group for s in scores}, key=lambda name: ROBOTS.index(name.partition("-")[0])):
-        own = {(s.method, s.tier, s.category, s.steps): s.interval for s in scores if s.group == group}
-        for method in dict.fromkeys((*ALGORITHMS, *ACROSS_ALGORITHMS)):
-            found = [own.get((method, *setting)) for setting in settings.values()]
-            if any(found):
-                panels.setdefault(group, {})[method] = found
-    return ScoreFigure(f"offline-{name}", f"Offline learning: {title}", x_label, tuple(settings), panels)
+    for group in dict.fromkeys(score.group for score in scores):
+        panel = panels.setdefault(group, {})
+        of_group = [score for score in scores if score.group == group]
+        for method in in_order({score.method for score in of_group}):
+            own: dict[Any, Interval | None] = {
+                getattr(score, field): score.interval for score in of_group if score.method == method
+            }
+            if method not in COMPARISONS:
+                panel[method] = [own.get(tick) for tick in ticks]
+            elif method != "expert":
+                panel[f"comparison: {method}"] = [*own.values()][:1] * len(ticks)
+    return [ScoreFigure(name, title, x_label, tuple(map(_label, ticks)), panels)] if panels else []
 
 
 def _kind(score: MethodScore) -> str:
@@ -185,6 +158,13 @@ def _kind(score: MethodScore) -> str:
     return f"{score.group.partition('-')[2]}-{score.tier}"
 
 
-def _short(number: int) -> str:
-    """Return a number as a short text: thousands as ``25k``."""
-    return str(number) if number % 1000 else f"{number // 1000}k"
+def _robot(score: MethodScore) -> int:
+    """Return the place of a score's robot among all."""
+    return ROBOTS.index(score.group.partition("-")[0])
+
+
+def _label(value: str | int) -> str:
+    """Return the label of a tick: ``25k`` for 25,000, and ``all`` for all held-out variants."""
+    if isinstance(value, int):
+        return str(value) if value % 1000 or value < 10_000 else f"{value // 1000}k"
+    return ALL if value == SHIFTED else value

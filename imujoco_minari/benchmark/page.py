@@ -201,8 +201,9 @@ def results_page(results: Results, parts: Sequence[Section], findings: str = "")
     first, tables = [], []
     for part in parts:
         # The amount of data is what a user chooses; a small run has no such figure.
-        lead = next((figure for figure in part.figures if figure.name.endswith("-data")), part.figures[0])
-        first += [f"**{part.question}**", _drawn(lead), part.reading]
+        data = (figure for figure in part.figures if figure.name.endswith("-data"))
+        if lead := next(data, next(iter(part.figures), None)):
+            first += [f"**{part.question}**", _drawn(lead), part.reading]
         tables += [f"## {part.title}", part.tables]
         if more := [_drawn(figure) for figure in part.figures if figure != lead]:
             tables.append(folded("More figures", "\n\n".join(more)))

@@ -13,6 +13,8 @@ import io
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
+from operator import attrgetter
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +24,7 @@ from imujoco_minari.benchmark.methods import COMPARISONS, METHODS
 from imujoco_minari.errors import BenchmarkError
 from imujoco_minari.policies.aggregates import bootstrap_interval, interquartile_mean
 from imujoco_minari.short_repr import short_repr
-from imujoco_minari.variants import BASE, Variant
+from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS, Variant
 
 ALL = "all"
 # The variants that offline data do not contain.
@@ -31,6 +33,14 @@ SHIFTED = "shifted"
 TYPICAL_BUDGET = "5x100"
 # Follows the names of the methods of others.
 OTHERS_MARK = " †"
+# Values of a score's fields in the order in which they are shown. Those of users follow.
+_ORDER = dict.fromkeys(
+    (
+        *(*METHODS, *offline.ALGORITHMS, *offline.ACROSS_ALGORITHMS),
+        *(*map(str, protocol.BUDGETS), *offline.ALL_TIERS, *ROBOTS),
+        *(BASE, SHIFTED, *CATEGORIES),
+    )
+)
 # A score and the ends of its interval.
 Interval = tuple[float, float, float]
 
@@ -123,14 +133,19 @@ def offline_scores(lines: Iterable[Line]) -> list[MethodScore]:
 
 def budgets_of(scores: Sequence[MethodScore]) -> list[str]:
     """Return the budgets of the methods. The one budget of a comparison does not count."""
-    found = {s.budget for s in scores if s.method not in COMPARISONS} or {s.budget for s in scores}
-    return [str(budget) for budget in protocol.BUDGETS if str(budget) in found]
+    return in_order({s.budget for s in scores if s.method not in COMPARISONS} or {s.budget for s in scores})
 
 
-def in_order(methods: set[str], known: Iterable[str] = METHODS) -> list[str]:
-    """Return methods in the order of this package's, then the others."""
-    own = [method for method in known if method in methods]
-    return own + sorted(methods - set(own))
+def after_most_steps(scores: Sequence[MethodScore]) -> list[MethodScore]:
+    """Return the scores after the largest number of steps of each method."""
+    last = {score.method: score.steps for score in sorted(scores, key=attrgetter("steps"))}
+    return [score for score in scores if score.steps == last[score.method]]
+
+
+def in_order(values: set[Any]) -> list[Any]:
+    """Return values of one field of scores in the order in which they are shown: numbers rise."""
+    known = [value for value in _ORDER if value in values]
+    return known + sorted(values - set(known))
 
 
 def normalised_mean(returns: Sequence[float], references: Sequence[float]) -> float:

@@ -2,45 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from itertools import groupby, product
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import chain, groupby, product
 from operator import attrgetter, itemgetter
 
 from imujoco_minari.benchmark import reproduction
 from imujoco_minari.benchmark.lines import Line
 from imujoco_minari.benchmark.methods import COMPARISONS
-from imujoco_minari.benchmark.offline import ACROSS_ALGORITHMS, ALGORITHMS, ALL_TIERS, SHIFTED_TIER
+from imujoco_minari.benchmark.offline import SHIFTED_TIER
 from imujoco_minari.benchmark.scores import (
     ALL,
     SHIFTED,
     TYPICAL_BUDGET,
     MethodScore,
+    after_most_steps,
     budgets_of,
     few_shot_scores,
     in_order,
 )
-from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS
+from imujoco_minari.variants import BASE, CATEGORIES
 
 # Caption, columns and rows.
 Table = tuple[str, list[str], list[list[str]]]
+
+_METHODS = {"method": "method", "steps": "steps"}
 
 
 def few_shot_tables(scores: Sequence[MethodScore]) -> str:
     """Return Markdown tables of few-shot scores, folded by split: by budget, and by category."""
     parts = []
-    whole = [score for score in scores if score.category == ALL]
-    for group, tier in dict.fromkeys((score.group, score.tier) for score in whole):
+    for group, tier in dict.fromkeys((score.group, score.tier) for score in scores if score.category == ALL):
         own = [score for score in scores if (score.group, score.tier) == (group, tier)]
-        columns, rows = _by_budget([score for score in own if score.category == ALL])
+        columns = _by_budget(own)
         typical = [s for s in own if s.budget == TYPICAL_BUDGET or s.method in COMPARISONS]
-        by = {(s.method, str(s.steps), s.category): s for s in typical}
         for category in CATEGORIES:
-            if any(score.category == category for score in typical):
-                columns.append(f"{category}, {TYPICAL_BUDGET}")
-                for row in rows:
-                    row.append(_cell(by.get((row[0], row[1], category))))
+            if of_category := [score for score in typical if score.category == category]:
+                columns[f"{category}, {TYPICAL_BUDGET}"] = of_category
         count = max(score.variants for score in own)
-        parts.append(folded(f"{group}, {tier}, {count} held-out variants", table(columns, rows)))
+        caption = f"{group}, {tier}, {count} held-out variants"
+        parts.append(folded(caption, table(*_table(_METHODS, columns))))
     return "\n\n".join(parts)
 
 
@@ -49,58 +49,38 @@ def variant_tables(lines: Sequence[Line]) -> dict[str, list[Table]]:
     found: dict[str, list[Table]] = {}
     key = itemgetter("variant", "split", "tier")
     for (variant, split, tier), own in groupby(sorted(lines, key=key), key):
-        columns, rows = _by_budget([score for score in few_shot_scores(own) if score.category == ALL])
-        found.setdefault(variant, []).append((f"{split}, {tier}", columns, rows))
+        columns = _by_budget(few_shot_scores(own))
+        found.setdefault(variant, []).append((f"{split}, {tier}", *_table(_METHODS, columns)))
     return found
 
 
 def offline_tables(scores: Sequence[MethodScore]) -> str:
     """Return Markdown tables of offline scores, folded: on each base robot, and on other variants."""
-    methods = in_order({score.method for score in scores}, ALGORITHMS)
-    steps = sorted({score.steps for score in scores})
-    last = {score.method: score.steps for score in sorted(scores, key=lambda score: score.steps)}
-    found = {(s.group, s.tier, s.category, s.steps, s.method): s for s in scores}
-
-    def cells(robot: str, tier: str, category: str, number: int | None = None) -> list[str]:
-        keys = [(robot, tier, category, number or last[method], method) for method in methods]
-        return [_cell(found.get(key)) for key in keys]
-
     parts = []
-    for robot in ROBOTS:
-        tiers = [tier for tier in ALL_TIERS if any((s.group, s.tier) == (robot, tier) for s in scores)]
-        rows = [[t, f"{number:,}", *cells(robot, t, BASE, number)] for t in tiers for number in steps]
-        if rows:
-            text = table(["data", "updates", *methods], rows)
-            parts.append(folded(f"{robot}, on the base robot", text))
-    shifted = [(s.group, s.category) for s in scores if s.category != BASE]
-    rows = [
-        [robot, category, *cells(robot, SHIFTED_TIER, category)]
-        for robot, category in product(ROBOTS, (SHIFTED, *CATEGORIES))
-        if (robot, category) in shifted
-    ]
-    if rows:
+    base = [score for score in scores if score.category == BASE]
+    for robot in in_order({score.group for score in base}):
+        own = [score for score in base if score.group == robot]
+        fields = {"data": "tier", "updates": "steps"}
+        parts.append(_by_method(f"{robot}, on the base robot", fields, own))
+    shifted = [score for score in after_most_steps(scores) if score.category != BASE]
+    if shifted:
+        steps = sorted({score.steps for score in after_most_steps(scores)})
         caption = f"From {SHIFTED_TIER} data of the base to other variants, after {steps[-1]:,} updates"
-        caption += ", or as many as the method has" if len(set(last.values())) > 1 else ""
-        parts.append(folded(caption, table(["robot", "variants", *methods], rows)))
+        caption += ", or as many as the method has" if len(steps) > 1 else ""
+        parts.append(_by_method(caption, {"robot": "group", "variants": "category"}, shifted))
     return "\n\n".join(parts)
 
 
 def across_tables(scores: Sequence[MethodScore]) -> str:
     """Return Markdown tables of scores in held-out variants, folded by split."""
-    methods = in_order({score.method for score in scores}, ACROSS_ALGORITHMS)
     parts = []
     for group in dict.fromkeys(score.group for score in scores):
-        own = {(s.category, s.steps, s.method): s for s in scores if s.group == group}
-        steps = sorted({key[1] for key in own})
-        places = [(SHIFTED, number) for number in steps] + [(each, steps[-1]) for each in CATEGORIES]
-        rows = [
-            [category, f"{number:,}", *(_cell(own.get((category, number, method))) for method in methods)]
-            for category, number in places
-            if any(key[:2] == (category, number) for key in own)
-        ]
-        count = max(score.variants for score in own.values())
-        text = table(["held-out variants", "updates", *methods], rows)
-        parts.append(folded(f"{group}, {SHIFTED_TIER}, {count} held-out variants", text))
+        own = [score for score in scores if score.group == group]
+        caption = f"{group}, {SHIFTED_TIER}, {max(score.variants for score in own)} held-out variants"
+        shown = [score for score in own if score.category == SHIFTED]
+        shown += [score for score in after_most_steps(own) if score.category != SHIFTED]
+        fields = {"held-out variants": "category", "updates": "steps"}
+        parts.append(_by_method(caption, fields, shown))
     return "\n\n".join(parts)
 
 
@@ -129,22 +109,46 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
 
 
-def _by_budget(scores: Sequence[MethodScore]) -> tuple[list[str], list[list[str]]]:
-    """Return the columns and rows of a table: methods and their steps by budget."""
-    budgets = budgets_of(scores)
-    rows = []
-    for method in in_order({score.method for score in scores}):
-        for steps in sorted({score.steps for score in scores if score.method == method}):
-            found = {s.budget: s for s in scores if (s.method, s.steps) == (method, steps)}
-            if method in COMPARISONS:
-                found = dict.fromkeys(budgets, next(iter(found.values())))
-            rows.append([method, str(steps), *(_cell(found.get(budget)) for budget in budgets)])
-    return ["method", "steps", *budgets], rows
+def _by_budget(scores: Sequence[MethodScore]) -> dict[str, list[MethodScore]]:
+    """Return the scores in all variants by budget. The policies of comparisons serve each budget."""
+    whole = [score for score in scores if score.category == ALL]
+    return {
+        budget: [score for score in whole if score.budget == budget or score.method in COMPARISONS]
+        for budget in budgets_of(whole)
+    }
 
 
-def _cell(score: MethodScore | None) -> str:
-    if score is None:
-        return ""
+def _by_method(caption: str, fields: Mapping[str, str], scores: Sequence[MethodScore]) -> str:
+    """Return a folded table with a column for each method."""
+    methods = in_order({score.method for score in scores})
+    columns = {method: [score for score in scores if score.method == method] for method in methods}
+    return folded(caption, table(*_table(fields, columns)))
+
+
+def _table(
+    fields: Mapping[str, str], columns: Mapping[str, Sequence[MethodScore]]
+) -> tuple[list[str], list[list[str]]]:
+    """Return the columns and rows of a table of scores, whose columns are given by name.
+
+    The values of some fields name a row. They are in the first columns.
+    """
+    row_of, scores = attrgetter(*fields.values()), list(chain(*columns.values()))
+    found = {name: {row_of(score): _cell(score) for score in own} for name, own in columns.items()}
+    values = [in_order({getattr(score, field) for score in scores}) for field in fields.values()]
+    present = set(map(row_of, scores))
+    rows = [
+        [*map(_text, row), *(cells.get(row, "") for cells in found.values())]
+        for row in product(*values)
+        if row in present
+    ]
+    return [*fields, *found], rows
+
+
+def _text(value: str | int) -> str:
+    return f"{value:,}" if isinstance(value, int) and value >= 10_000 else str(value)
+
+
+def _cell(score: MethodScore) -> str:
     middle, *ends = (_rounded(x) for x in (*score.interval, score.wide_low, score.wide_high))
     # One run or one variant has no interval.
     seeds = f" ({ends[0]} to {ends[1]})" if score.runs > 1 else ""

@@ -149,6 +149,17 @@ def test_figures_of_few_shot_scores_need_more_than_one_budget_or_tier() -> None:
     assert "few-shot-extremes-v1-expert-stochastic-data" not in names
 
 
+def test_a_budget_and_an_algorithm_of_a_user_are_shown_too() -> None:
+    lines = [few_shot_line("maml", variant, 0, 0.5, "3x50") for variant in VARIANTS]
+    results = Results(lines, [offline_line(method, 0, 0.4) for method in ("mine", "mine †", "iql")], [], [])
+    few_shot, offline = sections(results)
+    assert "| method | steps | 3x50 |\n" in few_shot.tables
+    # There is nothing to compare with it.
+    assert few_shot.figures == []
+    assert all(list(figure.panels["hopper"]) == ["iql", "mine"] for figure in offline.figures)
+    assert few_shot.tables in results_page(results, [few_shot, offline])
+
+
 def test_the_page_has_every_method_and_its_files_are_reproducible(tmp_path: Path) -> None:
     from imujoco_minari.pictures.plotting.scores import plot_scores
 
