@@ -17,8 +17,9 @@ from typing import Any
 
 from imujoco_minari.benchmark import few_shot, offline, protocol
 from imujoco_minari.benchmark.lines import Line, parsed
+from imujoco_minari.benchmark.scores import TYPICAL_BUDGET
 from imujoco_minari.errors import BenchmarkError, clipped
-from imujoco_minari.variants import EXPERT, HeldOut, held_out
+from imujoco_minari.variants import EXPERT, held_out
 
 # The digests, references and versions of the published results: `scripts/generate-docs` writes it.
 PUBLISHED = Path(__file__).with_name("published.json")
@@ -70,8 +71,7 @@ def _read(file: Path) -> tuple[list[Line], list[str]]:
     faults_of, kinds = (few_shot_fault, _FEW) if is_few else (offline_fault, _OFFLINE)
     lines: list[Line] = []
     facts: dict[str, Line] = {}
-    counts: Counter[str] = Counter()
-    first: dict[str, int] = {}
+    numbers: dict[str, list[int]] = {}
     faults = []
     try:
         for number, text in _texts(file):
@@ -87,14 +87,13 @@ def _read(file: Path) -> tuple[list[Line], list[str]]:
                 kept = {key: line[key] for key in (*kinds, "seed", "settings")}
                 lines.append(kept | {"results": sorted(line["results"])})
             for each in found:
-                fault = each if each in counts or len(counts) < MAX_FAULTS else "other faults"
-                counts[fault] += 1
-                first.setdefault(fault, number)
+                fault = each if each in numbers or len(numbers) < MAX_FAULTS else "other faults"
+                numbers.setdefault(fault, []).append(number)
     except (BenchmarkError, OSError) as error:
         faults.append(f"{file.name}: {error}")
     return lines, [
         *faults,
-        *(f"{file.name}, line {first[fault]}: {fault} (lines: {count})" for fault, count in counts.items()),
+        *(f"{file.name}, line {own[0]}: {fault} (lines: {len(own)})" for fault, own in numbers.items()),
     ]
 
 
@@ -218,7 +217,8 @@ def _faults_together(lines: Sequence[Line]) -> Iterator[str]:
         own, name = list(grouped), f"{group}, {tier}"
         if few:
             split = held_out(group)
-            budgets = map(str, budgets_of(split, tier))
+            # Sampled actions are compared with one budget.
+            budgets = map(str, protocol.budgets_of(split)) if tier == EXPERT else [TYPICAL_BUDGET]
             wanted: list[tuple[Any, ...]] = list(product(split.test, budgets, range(protocol.SEEDS)))
         else:
             number = max(offline.LEAST_SEEDS, min(offline.SEEDS, len({line["seed"] for line in own})))
@@ -228,11 +228,6 @@ def _faults_together(lines: Sequence[Line]) -> Iterator[str]:
             yield f"{name}: some lines have training data, others none"
         if len({tuple(line["results"]) for line in own}) > 1:
             yield f"{name}: the lines differ in their gradient steps"
-
-
-def budgets_of(split: HeldOut, tier: str) -> Sequence[protocol.Budget]:
-    """Return the budgets that a method must have in a split and tier."""
-    return protocol.budgets_of(split) if tier == EXPERT else [protocol.Budget.parse("5x100")]
 
 
 def _differences(
