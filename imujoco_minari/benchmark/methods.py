@@ -117,7 +117,7 @@ def find_method(name: str, known: Mapping[str, Any] = METHODS) -> Any:
     if own:
         try:
             return getattr(import_module(module), own)
-        except (ImportError, AttributeError, ValueError) as error:
+        except (ImportError, AttributeError, TypeError, ValueError) as error:
             raise BenchmarkChoiceError(f"no method {clipped(name)!r}: {error}") from None
     if name not in known:
         raise BenchmarkChoiceError(f"{unknown('no method', name, known)}, or <module>:<Class> for your own")
@@ -133,7 +133,7 @@ def with_settings(new: NewMethod, settings: Sequence[str]) -> NewMethod:
 
     Raises:
         BenchmarkChoiceError: if the method has no such setting.
-        BenchmarkError: if the value is not a number.
+        BenchmarkError: if the value is not a number, or not a whole one where the method has one.
     """
     numbers = {name: value for name, value in settings_of(new(0)).items() if type(value) in (int, float)}
     changed = {}
@@ -141,10 +141,12 @@ def with_settings(new: NewMethod, settings: Sequence[str]) -> NewMethod:
         name, _, value = text.partition("=")
         if name not in numbers:
             raise BenchmarkChoiceError(f"no setting {clipped(text)!r}; valid: {', '.join(numbers) or 'none'}")
+        kind = type(numbers[name])
         try:
-            changed[name] = type(numbers[name])(value)
+            changed[name] = kind(value)
         except ValueError:
-            raise BenchmarkError(f"{clipped(text)!r} is not a number") from None
+            whole = "whole " if kind is int else ""
+            raise BenchmarkError(f"{clipped(text)!r} is not a {whole}number") from None
     return partial(new, **changed)
 
 

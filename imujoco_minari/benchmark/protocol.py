@@ -5,6 +5,7 @@ A published protocol is never changed: a better one gets a new name. Every numbe
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -50,9 +51,9 @@ class Budget:
         Raises:
             BenchmarkChoiceError: if it names none.
         """
-        count, _, length = text.partition("x")
-        if count.isdecimal() and int(count) and (length == "all" or (length.isdecimal() and int(length))):
-            return cls(int(count), None if length == "all" else int(length))
+        if found := re.fullmatch(r"0*([1-9]\d{0,8})x(?:0*([1-9]\d{0,8})|all)", text, re.ASCII):
+            count, length = found.groups()
+            return cls(int(count), int(length) if length else None)
         raise BenchmarkChoiceError(
             f"no budget {clipped(text)!r}; valid: <windows>x<steps>, as in 5x100, or 1xall for an episode"
         )

@@ -161,7 +161,7 @@ def test_methods_are_found_by_name() -> None:
     assert find_method("imujoco_minari.benchmark.meta:Maml") is Maml
     with pytest.raises(BenchmarkError, match=r"no method 'scrath' \(did you mean 'scratch'\?\)"):
         find_method("scrath")
-    for name in ("no.such.module:Method", "json:Method"):
+    for name in ("no.such.module:Method", "json:Method", ".meta:Maml", ":Maml"):
         with pytest.raises(BenchmarkError, match="no method"):
             find_method(name)
 

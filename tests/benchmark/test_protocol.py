@@ -46,7 +46,7 @@ def test_whole_episodes_and_episodes_shorter_than_a_window() -> None:
 
 def test_budgets_are_read_as_they_are_written() -> None:
     assert [Budget.parse(str(budget)) for budget in BUDGETS] == list(BUDGETS)
-    for text in ("", "x", "0x5", "5x0", "all", "5xsome", "-1x100"):
+    for text in ("", "x", "0x5", "5x0", "all", "5xsome", "-1x100", f"{'9' * 5000}x1"):
         with pytest.raises(BenchmarkError, match="no budget"):
             Budget.parse(text)
 
