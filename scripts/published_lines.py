@@ -8,15 +8,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from imujoco_minari.benchmark import few_shot, offline, reproduction
 from imujoco_minari.benchmark.lines import append_lines, latest, read_lines
-
-CELLS = {
-    few_shot.FILE: few_shot.CELL,
-    offline.FILE: offline.CELL,
-    offline.ACROSS_FILE: offline.CELL,
-    reproduction.FILE: reproduction.CELL,
-}
+from imujoco_minari.benchmark.page import CELLS
 
 
 def main(source: Path, target: Path) -> None:

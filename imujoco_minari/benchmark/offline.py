@@ -22,7 +22,6 @@ from imujoco_minari.benchmark.cloning import Cloning, contexts_of
 from imujoco_minari.benchmark.critics import Iql, Td3Bc
 from imujoco_minari.benchmark.lines import (
     Line,
-    append_lines,
     data_sha256,
     identity,
     measure_each,
@@ -223,10 +222,9 @@ def run_offline(
     """
     for recipe in grid.recipes():
         _check_sampled(recipe)
-    compute = partial(measure_each, partial(_run_cell, grid), jobs)
-    file, wanted = results / (ACROSS_FILE if grid.across else FILE), list(_lines(grid))
-    _score_again(file, wanted)
-    return run_lines(file, compute, wanted, on_cells)
+    file = results / (ACROSS_FILE if grid.across else FILE)
+    trained = {_without_experts(line): line for line in read_lines(file)}
+    return run_lines(file, partial(_compute, grid, trained, jobs), list(_lines(grid)), on_cells)
 
 
 def _lines(grid: OfflineGrid) -> Iterator[Line]:
@@ -251,18 +249,18 @@ def _lines(grid: OfflineGrid) -> Iterator[Line]:
             }
 
 
-def _score_again(file: Path, wanted: Sequence[Line]) -> None:
-    """Add the lines of which only the experts have changed, which decide nothing but the references."""
-    lines = read_lines(file)
-    known = set(map(identity, lines))
-    by_rest = {_without_experts(line): line for line in lines}
-    again = [
-        {**by_rest[_without_experts(line)], **line, "references": _references(line)}
-        for line in wanted
-        if _without_experts(line) in by_rest and identity(line) not in known
-    ]
-    if again:
-        append_lines(file, again)
+def _compute(
+    grid: OfflineGrid, trained: Mapping[str, Line], jobs: int, lines: Sequence[Line]
+) -> Iterator[Line]:
+    """Yield the lines with their measured entries.
+
+    Where only the experts have changed since a line was trained, only the references change.
+    """
+    for line in lines:
+        if before := trained.get(_without_experts(line)):
+            yield {**before, **line, "references": _references(line)}
+    others = [line for line in lines if _without_experts(line) not in trained]
+    yield from measure_each(partial(_run_cell, grid), jobs, others)
 
 
 def _without_experts(line: Line) -> str:

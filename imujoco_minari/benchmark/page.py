@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -42,6 +42,13 @@ _OTHERS = (
 )
 _REPRODUCED = """The relative error of the actions on the held-out variants of HalfCheetah, by gradient
 steps: the mean of the seeds ± their standard deviation."""
+# What tells the lines of a file apart. The files are in the order of Results.
+CELLS = {
+    few_shot.FILE: few_shot.CELL,
+    offline.FILE: offline.CELL,
+    offline.ACROSS_FILE: offline.CELL,
+    reproduction.FILE: reproduction.CELL,
+}
 # What each line has, and what of it names figures and stands on the page.
 _ENTRIES = ("protocol", "method", "settings", "seed", "versions", "results")
 _NAMES = ("method", "split", "tier", "robot", "budget")
@@ -150,13 +157,8 @@ def read_results(folder: Path) -> Results:
     Raises:
         BenchmarkError: if the folder has none, a line is not a result, or lines of others have a fault.
     """
-    found = Results(
-        _latest(folder / few_shot.FILE, few_shot.CELL),
-        _latest(folder / offline.FILE, offline.CELL),
-        _latest(folder / offline.ACROSS_FILE, offline.CELL),
-        _latest(folder / reproduction.FILE, reproduction.CELL),
-        list(_others(folder / "others")),
-    )
+    own = Results(*(_latest(folder / name, cell) for name, cell in CELLS.items()))
+    found = replace(own, others=list(_others(folder / "others")))
     if not found.all():
         raise BenchmarkError(f"{folder} has no results: `imujoco benchmark few-shot` computes some")
     return found
