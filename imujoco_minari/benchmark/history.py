@@ -61,13 +61,7 @@ class History(Pretrained):
 
 
 class HistoryPolicy:
-    """Acts by the observation and the last transitions of the same episode.
-
-    Args:
-        networks: the GRU's parameters and the policy's network.
-        statistics: of the observations.
-        window: number of transitions that it remembers.
-    """
+    """Acts by the observation and the last transitions of the same episode."""
 
     algorithm, deterministic = "behaviour cloning", True
 

@@ -72,11 +72,7 @@ def _read(path: Path) -> tuple[list[Line], dict[str, Line]]:
 
 
 def parsed(text: bytes, facts: dict[str, Line]) -> Line | None:
-    """Return the line that an entry stands for, or None if the entry only adds to the facts.
-
-    Args:
-        text: JSON in UTF-8.
-        facts: the facts of the entries before it, by name.
+    """Return the line that an entry, JSON in UTF-8, stands for, or None if it only adds to the facts.
 
     Raises:
         ValueError: if the entry is malformed, or names facts that are not stated before it.

@@ -48,12 +48,7 @@ NewMethod = Callable[[int], Method]
 
 @dataclass
 class Bound:
-    """A bound: a policy of the held-out variant that does not depend on the demonstrations.
-
-    Attributes:
-        seed: not used.
-        policy_of: returns the policy of a variant.
-    """
+    """A bound: a policy of the held-out variant that depends on neither demonstrations nor seed."""
 
     seed: int
     policy_of: Callable[[Variant], Any] = field(repr=False)
@@ -106,10 +101,6 @@ BOUNDS = ("universal", "random", "expert")
 def find_method(name: str, known: Mapping[str, Any] = METHODS) -> Any:
     """Return the method or algorithm of a name, or the class that ``module:Class`` names.
 
-    Args:
-        name: the name.
-        known: maps the names of this package's to them.
-
     Raises:
         BenchmarkChoiceError: if neither exists.
     """
@@ -125,11 +116,7 @@ def find_method(name: str, known: Mapping[str, Any] = METHODS) -> Any:
 
 
 def with_settings(new: NewMethod, settings: Sequence[str]) -> NewMethod:
-    """Return a method with other settings.
-
-    Args:
-        new: the method.
-        settings: texts such as ``rate=0.001``.
+    """Return a method with other settings, which are texts such as ``rate=0.001``.
 
     Raises:
         BenchmarkChoiceError: if the method has no such setting.

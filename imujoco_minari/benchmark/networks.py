@@ -205,14 +205,9 @@ def gradient_step(network: Any, loss: Callable[[Any], Any], rate: Any) -> Any:
 
 
 def draw_variants(key: Any, starts: Any, counts: Any, tasks: int, number: int) -> tuple[Any, Any]:
-    """Return random variants (tasks,), and numbers of random rows of each (tasks, number).
+    """Return random variants (tasks,), and random rows of each (tasks, number), with replacement.
 
-    Args:
-        key: a key of JAX's random numbers.
-        starts: first row of each variant, (variants,).
-        counts: number of rows of each variant, (variants,).
-        tasks: how many variants, drawn with replacement.
-        number: how many rows of each, drawn with replacement.
+    ``starts`` has the first row of each variant, and ``counts`` its number of rows, (variants,).
     """
     jax = import_jax()
     which, where = jax.random.split(key)

@@ -98,13 +98,7 @@ NewAlgorithm = Callable[[int, tuple[int, ...]], Algorithm]
 
 
 class Told:
-    """An algorithm that is told the variant: its context follows the observation.
-
-    Args:
-        new: the algorithm.
-        seed: its seed.
-        checkpoints: its checkpoints.
-    """
+    """An algorithm that is told the variant: its context follows the observation."""
 
     def __init__(self, new: NewAlgorithm, seed: int, checkpoints: tuple[int, ...]) -> None:
         self._algorithm = new(seed, checkpoints)

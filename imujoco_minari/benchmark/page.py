@@ -57,14 +57,9 @@ _NAME = re.compile(r"[\w%+.:,=() -]{1,100}")
 
 @dataclass(frozen=True)
 class Results:
-    """The lines of a results folder, the last of each cell.
+    """The lines of each file of a results folder, the last of each cell.
 
-    Attributes:
-        few_shot: lines of few-shot imitation.
-        offline: lines of offline learning.
-        across: lines of offline learning across variants.
-        reproduction: lines of the published comparison.
-        others: lines of the methods of others, each named by its folder with a mark.
+    The methods of others are named by their folders, with a mark.
     """
 
     few_shot: Sequence[Line]
@@ -91,19 +86,12 @@ class Results:
 
 @dataclass(frozen=True)
 class Section:
-    """A section of the page.
-
-    Attributes:
-        title: its title.
-        question: what its results answer.
-        reading: how its first figure is read.
-        lines: its lines.
-        figures: its figures.
-        tables: its tables as Markdown.
-    """
+    """A section of the page. Its tables are Markdown."""
 
     title: str
+    # What its results answer.
     question: str
+    # How its first figure is read.
     reading: str
     lines: Sequence[Line]
     figures: Sequence[ScoreFigure]
@@ -193,11 +181,8 @@ def _others(folder: Path) -> Iterator[Line]:
 def results_page(results: Results, parts: Sequence[Section], findings: str = "") -> str:
     """Return the results page as Markdown: figures, findings, and folded tables and details.
 
-    Args:
-        results: the lines.
-        parts: the :func:`sections` of the page.
-        findings: Markdown. The text before its first heading follows the figures, and each of its sections is
-            folded at the end of the page.
+    The findings are Markdown. The text before their first heading follows the figures, and each of their
+    sections is folded at the end of the page.
     """
     head, *details = re.split(r"^## ", findings.strip(), flags=re.MULTILINE)
     first, tables = [], []
