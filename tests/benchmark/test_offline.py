@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from actor_datasets import publish_actors
-from synthetic_arrays import BASE
+from synthetic_arrays import synthetic
 
 from imujoco_minari.benchmark.checks import changes
 from imujoco_minari.benchmark.cloning import Cloning
@@ -39,16 +40,12 @@ def bandit() -> Arrays:
     count = 1000
     observations = rng.normal(size=(count, 2)).astype(np.float32)
     actions = rng.uniform(-1.0, 1.0, (count, 1)).astype(np.float32)
-    return Arrays(
+    return replace(
+        synthetic([1] * count),
         observations=observations,
         actions=actions,
         rewards=(-10.0 * (actions[:, 0] - BEST) ** 2).astype(np.float32),
         next_observations=observations,
-        terminations=np.ones(count, bool),
-        truncations=np.zeros(count, bool),
-        variant_index=np.zeros(count, np.int32),
-        episode_starts=np.arange(count),
-        table=(BASE,),
     )
 
 
@@ -58,20 +55,13 @@ def bodies(percents: list[int]) -> Arrays:
     observations = rng.normal(size=(rows, 11)).astype(np.float32)
     sign = np.repeat(np.sign(percents), 100)
     names = [f"hopper-mass{'inc' if percent > 0 else 'dec'}_{abs(percent)}_leggeom" for percent in percents]
-    return Arrays(
-        observations=observations,
-        actions=np.repeat(0.5 * sign[:, None], 3, axis=1).astype(np.float32),
-        rewards=np.ones(rows, np.float32),
-        next_observations=observations,
-        terminations=np.zeros(rows, bool),
-        truncations=np.arange(rows) % 100 == 99,
-        variant_index=np.repeat(np.arange(len(percents)), 100).astype(np.int32),
-        episode_starts=np.arange(0, rows, 100),
-        table=tuple(
-            Origin(name, "hopper", "mass", "leggeom", percent, "random")
-            for name, percent in zip(names, percents, strict=True)
-        ),
-    )
+    origins = [
+        Origin(name, "hopper", "mass", "leggeom", percent, "random")
+        for name, percent in zip(names, percents, strict=True)
+    ]
+    actions = np.repeat(0.5 * sign[:, None], 3, axis=1).astype(np.float32)
+    data = synthetic([100] * len(percents), origins)
+    return replace(data, observations=observations, actions=actions, next_observations=observations)
 
 
 def mean_action(algorithm: Cloning | Td3Bc | Iql, data: Arrays) -> float:
@@ -89,8 +79,6 @@ def test_each_algorithm_finds_what_it_should_in_a_bandit(bandit: Arrays) -> None
 
 def test_the_best_episodes_are_chosen_by_their_returns() -> None:
     """Of ten equal episodes, a tenth is one, and the highest return makes it."""
-    from synthetic_arrays import synthetic
-
     data = synthetic([4] * 10)
     data.rewards[data.rows(7)] += 1.0
     data.actions[:] = np.where(data.observations[:, :1] == 7, 0.5, -0.5)
