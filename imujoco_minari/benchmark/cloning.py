@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,8 +16,8 @@ import numpy as np
 from imujoco_minari.benchmark.networks import (
     BATCH,
     Initial,
-    Loss,
     Network,
+    Problem,
     bind,
     cloning_loss,
     descend,
@@ -77,39 +77,41 @@ class BaseExpert(FineTuned):
         return fine_tune(of_actor(expert), raw, demonstrations, self.rate, self.seed, self.steps)
 
 
-@dataclass
 class Fitted(ABC):
     """A method whose network learns from the training variants.
 
-    Attributes:
-        seed: seed of the weights and of the batches.
-        fit_rate: learning rate on the training variants.
-        fit_steps: steps on the training variants.
+    Each states its own fields: their order is that of the settings in result lines.
     """
 
-    seed: int = 0
-    fit_rate: float = 1e-3
-    fit_steps: int = 20_000
-    _network: Any = field(default=None, init=False, repr=False)
-    _statistics: Any = field(default=None, init=False, repr=False)
+    seed: int
+    fit_rate: float
+    fit_steps: int
+    _network: Any
+    _statistics: Statistics
 
     def fit(self, train: Arrays) -> None:
         """Train the network on the training variants."""
         self._statistics = robust_statistics(train.observations)
-        task, steps = self.task(self._statistics.normalize(train.observations), train), self.fit_steps
-        self._network = descend(*task, [steps], rate=self.fit_rate, seed=self.seed)[steps]
+        problem = self.problem(self._statistics.normalize(train.observations), train)
+        steps = self.fit_steps
+        self._network = descend(*problem, [steps], rate=self.fit_rate, seed=self.seed)[steps]
 
     @abstractmethod
-    def task(self, inputs: Array, train: Arrays) -> tuple[Loss, Any, tuple[Any, ...]]:
-        """Return what ``fit`` minimises: a loss, from which network, and the loss's data.
-
-        The network takes the inputs, which are the normalised observations.
-        """
+    def problem(self, inputs: Array, train: Arrays) -> Problem:
+        """Return the problem of ``fit``. The inputs are the normalised observations."""
 
 
 @dataclass
 class Pretrained(Fitted, FineTuned):
-    """A network that ``fit`` learns from the training variants, and ``adapt`` fine-tunes."""
+    """A network that ``fit`` learns from the training variants, and ``adapt`` fine-tunes.
+
+    Attributes:
+        fit_rate: learning rate on the training variants.
+        fit_steps: steps on the training variants.
+    """
+
+    fit_rate: float = 1e-3
+    fit_steps: int = 20_000
 
     def adapt(self, demonstrations: Arrays) -> Mapping[int, Any]:
         """Return the policies after each number of steps on the demonstrations."""
@@ -126,7 +128,7 @@ class MultiVariant(Pretrained):
 
     told: bool = False
 
-    def task(self, inputs: Array, train: Arrays) -> tuple[Loss, Any, tuple[Any, ...]]:
+    def problem(self, inputs: Array, train: Arrays) -> Problem:
         """Clone the behaviour of all training variants."""
         if self.told:
             told = contexts_of(train).astype(np.float32)[train.variant_index]

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from imujoco_minari.benchmark.cloning import Pretrained
-from imujoco_minari.benchmark.networks import HIDDEN, Loss, descend, forward, new_network, padded
+from imujoco_minari.benchmark.networks import HIDDEN, Loss, Problem, descend, forward, new_network, padded
 from imujoco_minari.loading import Arrays, Statistics
 from imujoco_minari.policies import LANES, Array
 from imujoco_minari.training.agents import import_jax
@@ -38,7 +38,7 @@ class History(Pretrained):
     units: int = 64
     sequences: int = 8
 
-    def task(self, inputs: Array, train: Arrays) -> tuple[Loss, Any, tuple[Any, ...]]:
+    def problem(self, inputs: Array, train: Arrays) -> Problem:
         """Clone the behaviour of all training variants."""
         jax = import_jax()
         observation, action = inputs.shape[1], train.actions.shape[1]

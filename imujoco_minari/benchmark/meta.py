@@ -14,6 +14,7 @@ from imujoco_minari.benchmark.networks import (
     HIDDEN,
     Loss,
     Network,
+    Problem,
     bind,
     draw_variants,
     forward,
@@ -53,7 +54,7 @@ class Maml(Pretrained):
     tasks: int = 8
     rows: int = 64
 
-    def task(self, inputs: Array, train: Arrays) -> tuple[Loss, Any, tuple[Any, ...]]:
+    def problem(self, inputs: Array, train: Arrays) -> Problem:
         """Find initial weights."""
         rate = np.float32(self.inner_rate)
         data = (padded(inputs), padded(train.actions), *variant_blocks(train), rate)
@@ -92,16 +93,22 @@ class SetEncoder(Fitted):
     needs no gradient step: it computes the context.
 
     Attributes:
+        seed: seed of the weights and of the batches.
         context: length of the context vector.
+        fit_rate: learning rate.
+        fit_steps: steps on the training variants.
         tasks: training variants in each step.
         rows: rows of a variant for its context, and a quarter as many others to imitate.
     """
 
+    seed: int = 0
     context: int = 16
+    fit_rate: float = 1e-3
+    fit_steps: int = 20_000
     tasks: int = 8
     rows: int = 64
 
-    def task(self, inputs: Array, train: Arrays) -> tuple[Loss, Any, tuple[Any, ...]]:
+    def problem(self, inputs: Array, train: Arrays) -> Problem:
         """Train encoder and policy together."""
         observation, action = inputs.shape[1], train.actions.shape[1]
         networks = (

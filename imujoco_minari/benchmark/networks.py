@@ -24,6 +24,8 @@ Network = list[tuple[Any, Any]]
 Initial = Literal["lecun", "pytorch"]
 # Returns the loss of a network on a random batch: (network, key, data) -> scalar.
 Loss = Callable[[Any, Any, Any], Any]
+# A loss, the network to start from, and the loss's data.
+Problem = tuple[Loss, Any, tuple[Any, ...]]
 # Returns the next state of an iteration: (state, key, data) -> state.
 Update = Callable[[Any, Any, Any], Any]
 

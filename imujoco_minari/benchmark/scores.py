@@ -34,13 +34,8 @@ TYPICAL_BUDGET = "5x100"
 # Follows the names of the methods of others.
 OTHERS_MARK = " †"
 # Values of a score's fields in the order in which they are shown. Those of users follow.
-_ORDER = dict.fromkeys(
-    (
-        *(*METHODS, *offline.ALGORITHMS, *offline.ACROSS_ALGORITHMS),
-        *(*map(str, protocol.BUDGETS), *offline.ALL_TIERS, *ROBOTS),
-        *(BASE, SHIFTED, *CATEGORIES),
-    )
-)
+_ORDER = [*METHODS, *offline.ALGORITHMS, *offline.ACROSS_ALGORITHMS, *map(str, protocol.BUDGETS)]
+_ORDER += [*offline.ALL_TIERS, *ROBOTS, BASE, SHIFTED, *CATEGORIES]
 # A score and the ends of its interval.
 Interval = tuple[float, float, float]
 
@@ -144,8 +139,8 @@ def after_most_steps(scores: Sequence[MethodScore]) -> list[MethodScore]:
 
 def in_order(values: set[Any]) -> list[Any]:
     """Return values of one field of scores in the order in which they are shown: numbers rise."""
-    known = [value for value in _ORDER if value in values]
-    return known + sorted(values - set(known))
+    known = dict.fromkeys(value for value in _ORDER if value in values)
+    return [*known, *sorted(values - known.keys())]
 
 
 def normalised_mean(returns: Sequence[float], references: Sequence[float]) -> float:
