@@ -92,12 +92,12 @@ class Fitted(ABC):
     def fit(self, train: Arrays) -> None:
         """Train the network on the training variants."""
         self._statistics = robust_statistics(train.observations)
-        problem = self.problem(self._statistics.normalize(train.observations), train)
+        problem = self._problem(self._statistics.normalize(train.observations), train)
         steps = self.fit_steps
         self._network = descend(*problem, [steps], rate=self.fit_rate, seed=self.seed)[steps]
 
     @abstractmethod
-    def problem(self, inputs: Array, train: Arrays) -> Problem:
+    def _problem(self, inputs: Array, train: Arrays) -> Problem:
         """Return the problem of ``fit``. The inputs are the normalised observations."""
 
 
@@ -128,8 +128,7 @@ class MultiVariant(Pretrained):
 
     told: bool = False
 
-    def problem(self, inputs: Array, train: Arrays) -> Problem:
-        """Clone the behaviour of all training variants."""
+    def _problem(self, inputs: Array, train: Arrays) -> Problem:
         if self.told:
             told = contexts_of(train).astype(np.float32)[train.variant_index]
             inputs = np.concatenate((inputs, told), axis=1)

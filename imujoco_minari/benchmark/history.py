@@ -38,8 +38,7 @@ class History(Pretrained):
     units: int = 64
     sequences: int = 8
 
-    def problem(self, inputs: Array, train: Arrays) -> Problem:
-        """Clone the behaviour of all training variants."""
+    def _problem(self, inputs: Array, train: Arrays) -> Problem:
         jax = import_jax()
         observation, action = inputs.shape[1], train.actions.shape[1]
         cell, state = _cell(self.units), np.zeros((1, self.units), np.float32)

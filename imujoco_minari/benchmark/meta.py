@@ -54,8 +54,7 @@ class Maml(Pretrained):
     tasks: int = 8
     rows: int = 64
 
-    def problem(self, inputs: Array, train: Arrays) -> Problem:
-        """Find initial weights."""
+    def _problem(self, inputs: Array, train: Arrays) -> Problem:
         rate = np.float32(self.inner_rate)
         data = (padded(inputs), padded(train.actions), *variant_blocks(train), rate)
         loss = meta_loss(self.tasks, self.rows, self.inner_steps)
@@ -108,8 +107,7 @@ class SetEncoder(Fitted):
     tasks: int = 8
     rows: int = 64
 
-    def problem(self, inputs: Array, train: Arrays) -> Problem:
-        """Train encoder and policy together."""
+    def _problem(self, inputs: Array, train: Arrays) -> Problem:
         observation, action = inputs.shape[1], train.actions.shape[1]
         networks = (
             new_network((observation + action, *_ENCODER_HIDDEN, self.context), self.seed),
