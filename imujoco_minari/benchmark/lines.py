@@ -160,8 +160,10 @@ def run_lines(
     """
     lines, facts = _read(path)
     known, stated = {identity(line): line for line in lines}, set(facts)
-    done = [known[identity(line)] for line in wanted if identity(line) in known]
-    missing = [line for line in wanted if identity(line) not in known]
+    # A cell that is asked for twice is computed once.
+    asked = {identity(line): line for line in wanted}
+    done = [known[each] for each in asked if each in known]
+    missing = [line for each, line in asked.items() if each not in known]
     on_cells(len(done))
     # A file that cannot be written is found before the first cell is computed.
     if missing:

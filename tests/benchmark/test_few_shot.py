@@ -97,6 +97,12 @@ def test_a_killed_run_continues_and_computes_nothing_twice(tmp_path: Path) -> No
 
 
 @pytest.mark.usefixtures("small_datasets")
+def test_a_cell_that_is_asked_for_twice_is_computed_once(tmp_path: Path) -> None:
+    (line,) = run_few_shot(tiny_grid("random", tiers=["random"] * 2), tmp_path)
+    assert read_lines(tmp_path / FILE) == [line]
+
+
+@pytest.mark.usefixtures("small_datasets")
 def test_a_changed_dataset_or_setting_no_longer_matches(tmp_path: Path) -> None:
     lines = run_few_shot(tiny_grid("random", "expert"), tmp_path)
     assert changes(lines) == []
