@@ -71,7 +71,9 @@ def _read(file: Path) -> tuple[list[Line], list[str]]:
     faults_of, kinds = (few_shot_fault, _FEW) if is_few else (offline_fault, _OFFLINE)
     lines: list[Line] = []
     facts: dict[str, Line] = {}
-    numbers: dict[str, list[int]] = {}
+    # Not the numbers of all lines: eight million empty lines would take 320 MiB.
+    counts: Counter[str] = Counter()
+    first: dict[str, int] = {}
     faults = []
     try:
         for number, text in _texts(file):
@@ -87,13 +89,14 @@ def _read(file: Path) -> tuple[list[Line], list[str]]:
                 kept = {key: line[key] for key in (*kinds, "seed", "settings")}
                 lines.append(kept | {"results": sorted(line["results"])})
             for each in found:
-                fault = each if each in numbers or len(numbers) < MAX_FAULTS else "other faults"
-                numbers.setdefault(fault, []).append(number)
+                fault = each if each in counts or len(counts) < MAX_FAULTS else "other faults"
+                counts[fault] += 1
+                first.setdefault(fault, number)
     except (BenchmarkError, OSError) as error:
         faults.append(f"{file.name}: {error}")
     return lines, [
         *faults,
-        *(f"{file.name}, line {own[0]}: {fault} (lines: {len(own)})" for fault, own in numbers.items()),
+        *(f"{file.name}, line {first[fault]}: {fault} (lines: {count})" for fault, count in counts.items()),
     ]
 
 
