@@ -21,10 +21,6 @@ from imujoco_minari.pictures.plotting.datasets import (
     FIGURES,
     Series,
     action_labels,
-    draw_actions,
-    draw_lengths,
-    draw_observations,
-    draw_returns,
     labels,
     load_series,
     observation_labels,
@@ -103,13 +99,13 @@ def test_datasets_of_one_name_have_their_whole_ids(root: Path, series: list[Seri
     shutil.copytree(root / leg.dataset_id, root / "mine" / "hopper-massdec_25_leggeom-random-v0")
     drawn = [base, leg, load_series("mine/hopper-massdec_25_leggeom-random-v0")]
     names = ["hopper-base-random", leg.dataset_id, "mine/hopper-massdec_25_leggeom-random-v0"]
-    figure = draw_returns(drawn)
+    figure = FIGURES["returns"](drawn)
     (axes,) = figure.axes
     assert [label.get_text() for label in axes.get_yticklabels()] == [f"{name}  (n = 4)" for name in names]
     figure.draw_without_rendering()
     label = axes.xaxis.label.get_window_extent()
     assert figure.bbox.x0 <= label.x0 < label.x1 <= figure.bbox.x1
-    (legend,) = draw_actions(drawn).legends
+    (legend,) = FIGURES["actions"](drawn).legends
     assert [text.get_text() for text in legend.get_texts()] == names
 
 
@@ -124,11 +120,11 @@ def test_datasets_of_two_robots_are_refused(series: list[Series], tmp_path: Path
 
 
 def test_the_dots_are_the_episodes(series: list[Series]) -> None:
-    for draw, values in (
-        (draw_returns, [one.data.returns for one in series]),
-        (draw_lengths, [one.data.episode_lengths for one in series]),
+    for name, values in (
+        ("returns", [one.data.returns for one in series]),
+        ("lengths", [one.data.episode_lengths for one in series]),
     ):
-        (axes,) = draw(series).axes
+        (axes,) = FIGURES[name](series).axes
         dots = [line for line in axes.lines if line.get_marker() == "."]
         for line, numbers in zip(dots, values, strict=True):
             assert np.array_equal(np.asarray(line.get_xdata()), numbers)
@@ -140,11 +136,11 @@ def test_the_dots_are_the_episodes(series: list[Series]) -> None:
 
 
 def test_every_axis_says_what_it_shows_and_in_which_unit(series: list[Series]) -> None:
-    assert "(reward)" in draw_returns(series).axes[0].get_xlabel()
-    assert "(steps)" in draw_lengths(series).axes[0].get_xlabel()
-    actions = [axes.get_xlabel() for axes in draw_actions(series).axes]
+    assert "(reward)" in FIGURES["returns"](series).axes[0].get_xlabel()
+    assert "(steps)" in FIGURES["lengths"](series).axes[0].get_xlabel()
+    actions = [axes.get_xlabel() for axes in FIGURES["actions"](series).axes]
     assert actions == action_labels("hopper")
-    panels = [axes for axes in draw_observations(series).axes if axes.get_visible()]
+    panels = [axes for axes in FIGURES["observations"](series).axes if axes.get_visible()]
     assert [axes.get_xlabel() for axes in panels] == observation_labels("hopper")
     assert panels[0].get_ylabel() == "share of steps (%)"
 
@@ -152,7 +148,7 @@ def test_every_axis_says_what_it_shows_and_in_which_unit(series: list[Series]) -
 def test_the_shares_of_a_distribution_add_up_and_the_base_is_filled(series: list[Series]) -> None:
     from matplotlib.patches import StepPatch
 
-    figure = draw_observations(series)
+    figure = FIGURES["observations"](series)
     for axes in (axes for axes in figure.axes if axes.get_visible()):
         steps = [patch for patch in axes.patches if isinstance(patch, StepPatch)]
         assert [patch.get_fill() for patch in steps] == [True, False, False]
@@ -165,7 +161,7 @@ def test_the_shares_of_a_distribution_add_up_and_the_base_is_filled(series: list
 def test_a_column_that_never_changes_can_be_drawn(series: list[Series]) -> None:
     for one in series:
         one.data.observations[:, 3] = 1.5
-    assert draw_observations(series).axes[3].get_xlim() == (1.0, 2.0)
+    assert FIGURES["observations"](series).axes[3].get_xlim() == (1.0, 2.0)
 
 
 def test_lines_differ_in_colour_and_in_dash() -> None:
@@ -191,7 +187,7 @@ def test_each_figure_is_a_png_and_an_svg_and_the_same_when_drawn_again(
         else:
             words = " ".join(ElementTree.parse(file).getroot().itertext())
             assert "hopper-base-random" in words
-    again = save(draw_returns(series), tmp_path / "b" / "returns")
+    again = save(FIGURES["returns"](series), tmp_path / "b" / "returns")
     assert [file.read_bytes() for file in files[:2]] == [file.read_bytes() for file in again]
 
 
@@ -279,4 +275,4 @@ def test_a_missing_matplotlib_is_named_with_its_remedy(
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(DependencyError, match=r'pip install "imujoco-minari\[plot\]"'):
-        draw_returns(series)
+        FIGURES["returns"](series)

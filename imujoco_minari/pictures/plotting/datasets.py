@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +16,7 @@ import mujoco
 import numpy as np
 
 from imujoco_minari.envs.mjcf import variant_model
+from imujoco_minari.envs.registration import dataset_name
 from imujoco_minari.errors import DatasetError, check_one_robot
 from imujoco_minari.loading import Arrays, arrays
 from imujoco_minari.pictures.plotting.style import BASE_EDGE, BASE_FILL, line_style, new_figure, save
@@ -76,8 +78,8 @@ def with_bases(series: Sequence[Series]) -> tuple[list[Series], list[str]]:
     wanted = dict.fromkeys(
         Variant(one.robot).dataset_id(tier) for one in series if not one.is_base for tier in one.tiers
     )
-    names = {_name(one.dataset_id) for one in series}
-    bases = [base for base in wanted if _name(base) not in names]
+    names = {dataset_name(one.dataset_id) for one in series}
+    bases = [base for base in wanted if dataset_name(base) not in names]
     present = [base for base in bases if minari_root.exists(base)]
     ordered = sorted([*map(load_series, present), *series], key=lambda one: not one.is_base)
     return ordered, [base for base in bases if base not in present]
@@ -85,14 +87,9 @@ def with_bases(series: Sequence[Series]) -> tuple[list[Series], list[str]]:
 
 def labels(series: Sequence[Series]) -> list[str]:
     """Return the names of datasets, or the whole ids of those that have the same name."""
-    names = [_name(one.dataset_id) for one in series]
+    names = [dataset_name(one.dataset_id) for one in series]
     labelled = zip(names, series, strict=True)
     return [name if names.count(name) == 1 else one.dataset_id for name, one in labelled]
-
-
-def _name(dataset_id: str) -> str:
-    """Return a dataset id without namespace and version."""
-    return dataset_id.rpartition("/")[2].rpartition("-v")[0]
 
 
 def plot_datasets(
@@ -112,41 +109,6 @@ def plot_datasets(
         if on_figure is not None:
             on_figure()
     return files
-
-
-def draw_returns(series: Sequence[Series]) -> Figure:
-    """Draw the return of each episode as a dot."""
-    unit = "undiscounted return of an episode (reward)"
-    return _draw_rows(series, [one.data.returns for one in series], "What do the episodes score?", unit)
-
-
-def draw_lengths(series: Sequence[Series]) -> Figure:
-    """Draw the length of each episode as a dot."""
-    unit = "length of an episode (steps)"
-    return _draw_rows(
-        series, [one.data.episode_lengths for one in series], "How long are the episodes?", unit
-    )
-
-
-def draw_actions(series: Sequence[Series]) -> Figure:
-    """Draw the distribution of each action over all steps."""
-    names, title = action_labels(series[0].robot), "How do the policies act?"
-    return _draw_distributions(series, [one.data.actions for one in series], names, title)
-
-
-def draw_observations(series: Sequence[Series]) -> Figure:
-    """Draw the distribution of each observation over all steps."""
-    names, title = observation_labels(series[0].robot), "Which states do the robots visit?"
-    return _draw_distributions(series, [one.data.observations for one in series], names, title)
-
-
-# The name of each figure's files, and the function that draws it.
-FIGURES: dict[str, Callable[[Sequence[Series]], Figure]] = {
-    "returns": draw_returns,
-    "lengths": draw_lengths,
-    "actions": draw_actions,
-    "observations": draw_observations,
-}
 
 
 def observation_labels(robot: str) -> list[str]:
@@ -175,13 +137,13 @@ def _line_styles(series: Sequence[Series]) -> list[dict[str, Any]]:
     return [{"color": BASE_EDGE} if one.is_base else line_style(next(numbers)) for one in series]
 
 
-def _draw_rows(series: Sequence[Series], values: Sequence[Array], title: str, unit: str) -> Figure:
-    """Draw one row of dots per dataset, with its median and its quartiles."""
+def _draw_rows(attribute: str, title: str, unit: str, series: Sequence[Series]) -> Figure:
+    """Draw one row per dataset, with a dot per episode, their median and their quartiles."""
     with new_figure(8.0, 1.3 + 0.36 * len(series), title) as figure:
         axes = figure.subplots()
         rng = np.random.default_rng(0)
-        for row, (numbers, style) in enumerate(zip(values, _line_styles(series), strict=True)):
-            colour = style["color"]
+        for row, (one, style) in enumerate(zip(series, _line_styles(series), strict=True)):
+            numbers, colour = getattr(one.data, attribute), style["color"]
             height = row + rng.uniform(-0.22, 0.22, len(numbers))
             axes.plot(numbers, height, ".", color=colour, alpha=0.45, markersize=4, markeredgewidth=0)
             low, middle, high = np.percentile(numbers, (25, 50, 75))
@@ -198,16 +160,18 @@ def _draw_rows(series: Sequence[Series], values: Sequence[Array], title: str, un
 
 
 def _draw_distributions(
-    series: Sequence[Series], values: Sequence[Array], columns: Sequence[str], title: str
+    attribute: str, column_labels: Callable[[str], list[str]], title: str, series: Sequence[Series]
 ) -> Figure:
     """Draw one panel per column, with one line per dataset over the base robot's grey area."""
+    columns = column_labels(series[0].robot)
     across = min(COLUMNS, len(columns))
     down = -(-len(columns) // across)
     legend = 0.25 * -(-len(series) // 2)
     with new_figure(2.6 * across, 0.8 + 1.75 * down + legend, title) as figure:
         panels = figure.subplots(down, across, squeeze=False).flat
         for place, label in enumerate(columns):
-            _draw_distribution(panels[place], series, [each[:, place] for each in values])
+            steps = [getattr(one.data, attribute)[:, place] for one in series]
+            _draw_distribution(panels[place], series, steps)
             panels[place].set_xlabel(label)
             panels[place].set_ylabel("share of steps (%)" if place % across == 0 else "")
         for empty in panels[len(columns) :]:
@@ -232,3 +196,18 @@ def _draw_distribution(axes: Axes, series: Sequence[Series], values: Sequence[Ar
         else:
             axes.stairs(share, edges, label=label, linewidth=1.2, **style)
     axes.set_xlim(low, high)
+
+
+# The name of each figure's files, and the function that draws it.
+FIGURES: dict[str, Callable[[Sequence[Series]], Figure]] = {
+    "returns": partial(
+        _draw_rows, "returns", "What do the episodes score?", "undiscounted return of an episode (reward)"
+    ),
+    "lengths": partial(
+        _draw_rows, "episode_lengths", "How long are the episodes?", "length of an episode (steps)"
+    ),
+    "actions": partial(_draw_distributions, "actions", action_labels, "How do the policies act?"),
+    "observations": partial(
+        _draw_distributions, "observations", observation_labels, "Which states do the robots visit?"
+    ),
+}
