@@ -121,27 +121,22 @@ def _text(numbers: Any) -> str:
 
 def _check_robot(model: mujoco.MjModel, robot: str, name: str) -> None:
     """Raise a ModelError unless bodies, joints and actuators are the robot's, in its order."""
-    base = mjcf.compile_mjcf(mjcf.canonical_mjcf(Variant(robot)))
-    for kind, theirs, ours in (
-        ("bodies", _names(model, "body", model.nbody), _names(base, "body", base.nbody)),
-        ("joints", _names(model, "joint", model.njnt), _names(base, "joint", base.njnt)),
-        ("actuated joints", _actuated(model), _actuated(base)),
-    ):
-        if theirs != ours:
+    expected = _parts(mjcf.compile_mjcf(mjcf.canonical_mjcf(Variant(robot))))
+    for kind, names in _parts(model).items():
+        if names != expected[kind]:
             raise ModelError(
-                f"{name}: is no {robot}: its {kind} are {', '.join(theirs)[:200]}, not {', '.join(ours)}"
+                f"{name}: is no {robot}: its {kind} are {', '.join(names)[:200]}, "
+                f"not {', '.join(expected[kind])}"
             )
 
 
-def _names(model: mujoco.MjModel, kind: str, count: int) -> list[str]:
-    return [str(getattr(model, kind)(i).name) for i in range(count)]
-
-
-def _actuated(model: mujoco.MjModel) -> list[str]:
-    joint = mujoco.mjtTrn.mjTRN_JOINT
-    return [
-        str(model.joint(int(model.actuator_trnid[i][0])).name)
-        if model.actuator_trntype[i] == joint
-        else "none"
-        for i in range(model.nu)
-    ]
+def _parts(model: mujoco.MjModel) -> dict[str, list[str]]:
+    joints = [model.joint(i).name for i in range(model.njnt)]
+    targets = zip(model.actuator_trntype, model.actuator_trnid[:, 0], strict=True)
+    return {
+        "bodies": [model.body(i).name for i in range(model.nbody)],
+        "joints": joints,
+        "actuated joints": [
+            joints[i] if kind == mujoco.mjtTrn.mjTRN_JOINT else "none" for kind, i in targets
+        ],
+    }
