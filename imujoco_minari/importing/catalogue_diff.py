@@ -19,12 +19,6 @@ from imujoco_minari.storage import file_format, minari_root
 from imujoco_minari.variants import Variant, catalogue
 from imujoco_minari.variants.original import ORIGINAL, OriginalVariant
 
-_JOINT_VALUES = (
-    ("damping", "dof_damping", "N m s/rad"),
-    ("armature", "dof_armature", "kg m2"),
-    ("stiffness", "jnt_stiffness", "N m/rad"),
-)
-
 
 @dataclass(frozen=True)
 class Departure:
@@ -124,16 +118,11 @@ def _more_quantities(ours: mujoco.MjModel, theirs: mujoco.MjModel) -> Iterator[t
     # The original's model has been checked to have our joints and actuators, in our order.
     for i in range(ours.njnt):
         name = ours.joint(i).name
-        for label, field, unit in _JOINT_VALUES:
-            yield f"{label} of {name}", getattr(ours, field)[i], getattr(theirs, field)[i], unit
+        yield f"stiffness of {name}", ours.jnt_stiffness[i], theirs.jnt_stiffness[i], "N m/rad"
         for axis, number in (("x", 0), ("z", 2)):
             first, second = (places[i][number] for places in anchors)
             yield f"{axis} of {name} in the rest pose", first, second, "m"
-    for i in range(ours.nu):
-        name = ours.joint(int(ours.actuator_trnid[i][0])).name
-        yield f"gear of {name}", ours.actuator_gear[i][0], theirs.actuator_gear[i][0], "N m"
     yield "timestep", ours.opt.timestep, theirs.opt.timestep, "s"
-    yield "gravity", ours.opt.gravity[2], theirs.opt.gravity[2], "m/s2"
 
 
 def _anchors(model: mujoco.MjModel) -> Any:

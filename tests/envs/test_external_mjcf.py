@@ -325,6 +325,17 @@ def test_a_departure_names_the_quantities() -> None:
     assert "length of thigh_geom" not in quantities
 
 
+def test_a_departure_names_each_quantity_once() -> None:
+    variant = OriginalVariant.parse("hopper-massdec_25_leggeom")
+    text = mjcf.canonical_mjcf(Variant.parse(str(variant)))
+    for before, after in (('gear="200', 'gear="250'), ("<option", '<option gravity="0 0 -5"')):
+        assert before in text
+        text = text.replace(before, after)
+    found = departure(variant, text).differences
+    joints = ("thigh_joint", "leg_joint", "foot_joint")
+    assert [each.quantity for each in found] == [*(f"gear of {joint}" for joint in joints), "gravity"]
+
+
 def test_a_total_mass_that_is_set_moves_every_mass() -> None:
     variant = OriginalVariant.parse("halfcheetah-massinc_100_bthigh")
     text = canonical_external_mjcf(original_archive.gym_xml(str(variant)), "halfcheetah", "test")
