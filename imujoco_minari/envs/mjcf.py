@@ -71,6 +71,8 @@ def mjcf_sha256(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
+@follows_page
+@lru_cache(maxsize=256)
 def healthy_z_range(variant: Variant) -> tuple[float, float] | None:
     """Return the torso heights (m) outside which an episode of ``variant`` ends; None where none does.
 
@@ -79,15 +81,8 @@ def healthy_z_range(variant: Variant) -> tuple[float, float] | None:
     base = specification(variant.robot).healthy_z_range
     if base is None:
         return None
-    shift = root_shift(variant)
+    shift = _edited(variant).root_shift
     return base[0] + shift, base[1] + shift
-
-
-@follows_page
-@lru_cache(maxsize=256)
-def root_shift(variant: Variant) -> float:
-    """Return the height (m) of the root of ``variant`` above the base robot's."""
-    return _edited(variant).root_shift
 
 
 def compile_mjcf(text: str) -> mujoco.MjModel:
