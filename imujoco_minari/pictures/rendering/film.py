@@ -97,13 +97,11 @@ def _draw_panel(
 ) -> Iterator[Image.Image]:
     last = len(motion.positions) - 1
     # The last position of an ended motion is drawn once and repeated.
-    moving = [step for step in steps if step < last]
-    shown = moving + [last] * (len(steps) > len(moving))
+    shown, times = np.unique(np.minimum(steps, last), return_counts=True)
     places = Camera(camera.lookat[shown], camera.distance)
     earned = np.concatenate([[0.0], np.cumsum(motion.rewards)])
-    positions = [motion.positions[step] for step in shown]
-    pictures = studio.shoot(motion.variant, positions, places, motion.mjcf)
-    for step, picture in zip(shown, pictures, strict=True):
+    pictures = studio.shoot(motion.variant, motion.positions[shown], places, motion.mjcf)
+    for step, count, picture in zip(shown, times, pictures, strict=True):
         over = step == last and motion.terminated
         if over:
             picture = Image.blend(picture, Image.new("RGB", picture.size, PAPER), 0.35)
@@ -111,7 +109,7 @@ def _draw_panel(
             time = step * motion.timestep
             state = f"{'ended at' if over else 't ='} {time:.2f} s    return {earned[step]:.0f}"
             picture = captioned(picture, motion.variant, motion.title, state)
-        yield from repeat(picture, len(steps) - len(moving) if step == last else 1)
+        yield from repeat(picture, count)
 
 
 def captioned(picture: Image.Image, variant: Variant, title: str = "", state: str = "") -> Image.Image:
