@@ -33,15 +33,11 @@ _TURNED = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
 
 
 def canonical_external_mjcf(text: str, robot: str, name: str) -> str:
-    """Return the canonical text of a model of ``robot`` that came from outside.
-
-    Args:
-        text: MJCF in global or local coordinates.
-        robot: the robot. The model must have its bodies, joints and actuators, in their order.
-        name: what to call the model in messages.
+    """Return the canonical text of a model from outside, in global or local coordinates.
 
     Raises:
-        ModelError: when the text is unsafe, does not compile, or is not a model of the robot.
+        ModelError: when the text is unsafe, does not compile, or has other bodies, joints or actuators than
+            ``robot``. The message calls the model ``name``.
     """
     root = check_text(text, name)
     _localise(root, name)

@@ -63,11 +63,7 @@ def backend() -> str:
 
 
 def new_context(width: int, height: int) -> Any:
-    """Make an off-screen OpenGL context for pictures of this size (pixels), and make it current.
-
-    Raises:
-        RenderingError: if no context can be made.
-    """
+    """Make an off-screen OpenGL context for pictures of this size (pixels), and make it current."""
     name = backend()
     try:
         module = import_module("mujoco.gl_context" if name == "native" else f"mujoco.{name}")

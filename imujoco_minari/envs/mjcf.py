@@ -86,11 +86,7 @@ def healthy_z_range(variant: Variant) -> tuple[float, float] | None:
 
 
 def compile_mjcf(text: str) -> mujoco.MjModel:
-    """Compile an MJCF text.
-
-    Raises:
-        ModelError: when MuJoCo cannot compile it.
-    """
+    """Compile an MJCF text; raise a ModelError when MuJoCo cannot."""
     try:
         return mujoco.MjModel.from_xml_string(text)
     except ValueError as error:
@@ -108,11 +104,7 @@ def round_geoms(model: mujoco.MjModel) -> tuple[NDArray[np.intp], Floats, Floats
 
 
 def lowest_point(model: mujoco.MjModel) -> float:
-    """Return the height (m) of the lowest point of the robot's capsules and spheres in the rest pose.
-
-    Raises:
-        ModelError: when the robot has neither.
-    """
+    """Return the height (m) of the lowest point of the robot's capsules and spheres in the rest pose."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     found, radius, half = round_geoms(model)

@@ -59,14 +59,11 @@ _MEASURE = "imujoco_minari.envs.untrusted_mjcf:measure_apart"
 
 
 def check_mjcf(text: str, name: str) -> None:
-    """Check that an MJCF text may be compiled, simulated and drawn in this process.
-
-    Args:
-        text: MJCF in local coordinates.
-        name: what to call the model in messages.
+    """Check that an MJCF text in local coordinates may be compiled, simulated and drawn in this process.
 
     Raises:
-        ModelError: when the text is unsafe, does not compile, or the compiled model is out of bounds.
+        ModelError: when the text is unsafe, does not compile, or the compiled model is out of bounds. The
+            message calls the model ``name``.
     """
     check_text(text, name)
     check_compiled(text, name)

@@ -43,11 +43,7 @@ def known_robots() -> tuple[str, ...]:
 
 
 def page_files(path: str | Path) -> dict[str, Path]:
-    """Return robot -> page for the pages in a folder, or for one page.
-
-    Raises:
-        CatalogueError: when there is no page.
-    """
+    """Return robot -> page for the pages in a folder, or for one page; raise a CatalogueError for none."""
     path = as_path(path)
     files = sorted(path.glob("*.toml")) if path.is_dir() else [path]
     if not files:

@@ -60,16 +60,10 @@ class CategoryLaw:
 
 
 def find(spec: mujoco.MjSpec, part: str, name: str) -> Any:
-    """Return the part of a model that a page names.
+    """Return the part of a model that a page names; raise a ModelError if the model has no such part.
 
-    Args:
-        spec: the model.
-        part: the kind of the part. A ``limb`` is a body, named by itself or by its only geom; a ``motor``
-            is named by the joint that it moves; the ``world`` is the model's options.
-        name: the MJCF name.
-
-    Raises:
-        ModelError: when the model has no such part.
+    A ``limb`` is a body, named by itself or by its only geom; a ``motor`` is named by the joint that it
+    moves; the ``world`` is the model's options.
     """
     if part == "limb":
         found, known = _limb(spec, name), _limb_names(spec)

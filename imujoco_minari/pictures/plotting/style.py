@@ -35,12 +35,9 @@ _SETTINGS: Any = {
 
 @contextmanager
 def new_figure(width: float, height: float, title: str) -> Iterator[Figure]:
-    """Yield an empty figure with a title. What is drawn in the context has the style of all figures.
+    """Yield an empty figure of a width and a height in inches, with a title.
 
-    Args:
-        width: width in inches.
-        height: height in inches.
-        title: title of the figure.
+    What is drawn in the context has the style of all figures.
 
     Raises:
         DependencyError: if matplotlib is not installed.
@@ -57,11 +54,7 @@ def new_figure(width: float, height: float, title: str) -> Iterator[Figure]:
 
 
 def save(figure: Figure, stem: Path) -> list[Path]:
-    """Write a figure to ``stem.png`` and ``stem.svg`` and return both paths.
-
-    Raises:
-        StorageError: if a file cannot be written.
-    """
+    """Write a figure to ``stem.png`` and ``stem.svg`` and return both paths."""
     from matplotlib import rc_context
 
     paths = [stem.with_name(stem.name + ending) for ending in (".png", ".svg")]

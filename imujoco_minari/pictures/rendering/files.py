@@ -38,9 +38,6 @@ def write_video(path: Path, pictures: Iterable[Image.Image], per_second: float, 
 
     For ``.mp4``, an odd width or height is cut by one pixel, and ``quality`` is H.264's constant rate factor:
     a lower value is a better picture and a larger file.
-
-    Raises:
-        StorageError: if the file cannot be written.
     """
     ending = check_format(path)
     with whole_file(path) as partial:
@@ -51,11 +48,7 @@ def write_video(path: Path, pictures: Iterable[Image.Image], per_second: float, 
 
 
 def write_picture(path: Path, picture: Image.Image) -> None:
-    """Write one picture in the format of the path's ending.
-
-    Raises:
-        StorageError: if the file cannot be written.
-    """
+    """Write one picture in the format of the path's ending."""
     with whole_file(path) as partial:
         picture.save(partial, optimize=True)
 
