@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from imujoco_minari.envs.mjcf import Floats, compile_mjcf, model_text
+from imujoco_minari.envs.mjcf import Floats
 from imujoco_minari.envs.registration import make
 from imujoco_minari.errors import (
     DatasetError,
@@ -205,10 +205,11 @@ def _simulate(
 def _as_observed(variant: Variant, mjcf: str | None, arrays: dict[str, Array]) -> Motion:
     """Return the motion of an episode whose seed is not known, from its observations."""
     with closing(make(variant, mjcf)) as env:
-        step = float(env.unwrapped.dt)  # type: ignore[attr-defined]
+        robot: Any = env.unwrapped
+        step, size = float(robot.dt), robot.model.nq
     # The positions that are not observed are the distances run: forward, and for some robots sideways.
     others = specification(variant.robot).observed_positions
-    hidden = compile_mjcf(model_text(variant, mjcf)).nq - others
+    hidden = size - others
     observations = arrays["observations"]
     velocities = observations[1:, others : others + hidden]
     run = np.concatenate([np.zeros((1, hidden)), np.cumsum(velocities, axis=0) * step])
