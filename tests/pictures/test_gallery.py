@@ -54,6 +54,12 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return names
 
 
+@pytest.fixture
+def folder(tmp_path: Path, drawn: list[str]) -> Path:
+    """A folder for a site whose pictures are stubs."""
+    return tmp_path / "site"
+
+
 class Page(HTMLParser):
     """An HTML page, its tags balanced, as the tests look at it."""
 
@@ -84,21 +90,23 @@ class Page(HTMLParser):
         return [attrs for name, attrs in self.tags if name == tag]
 
 
+def cards(folder: Path) -> dict[str, dict[str, str | None]]:
+    """Return the cards of the index by their variants."""
+    found = [attrs for attrs in Page(folder / "index.html").all("li") if "data-words" in attrs]
+    return {attrs["data-words"].split()[0]: attrs for attrs in found}
+
+
 def site(folder: Path) -> list[Path]:
     return [folder / "index.html", *sorted((folder / "variants").glob("*.html"))]
 
 
-def test_every_variant_has_a_card_and_a_page_and_every_link_leads_somewhere(
-    tmp_path: Path, drawn: list[str]
-) -> None:
-    folder = tmp_path / "site"
+def test_every_variant_has_a_card_and_a_page_and_every_link_leads_somewhere(folder: Path) -> None:
     chosen = catalogue("hopper", "length")
     built = build(folder, chosen)
     assert (built.variants, built.drawn, built.failed) == (9, 9, {})
-    index = Page(folder / "index.html")
-    cards = [attrs for attrs in index.all("li") if attrs.get("class") == "card"]
-    assert len(cards) == 9
-    assert [attrs["href"] for attrs in index.all("a") if attrs["href"].startswith("variants/")] == [
+    assert len(cards(folder)) == 9
+    links = [attrs["href"] for attrs in Page(folder / "index.html").all("a")]
+    assert [link for link in links if link.startswith("variants/")] == [
         f"variants/{variant}.html" for variant in (LEG.base, *chosen)
     ]
     for path in site(folder):
@@ -118,15 +126,14 @@ def test_every_variant_has_a_card_and_a_page_and_every_link_leads_somewhere(
                     assert (path.parent / target).is_file(), target
 
 
-def test_nothing_is_fetched_from_anywhere_else(tmp_path: Path, drawn: list[str]) -> None:
-    build(tmp_path / "site", [LEG])
-    for path in (tmp_path / "site").rglob("*"):
+def test_nothing_is_fetched_from_anywhere_else(folder: Path) -> None:
+    build(folder, [LEG])
+    for path in folder.rglob("*"):
         if path.suffix in (".html", ".css", ".js"):
             assert not re.search(r"(https?:)?//\w|@import|fetch\(|XMLHttp", path.read_text("utf-8")), path
 
 
-def test_the_pages_can_be_used_without_a_mouse_or_eyes(tmp_path: Path, drawn: list[str]) -> None:
-    folder = tmp_path / "site"
+def test_the_pages_can_be_used_without_a_mouse_or_eyes(folder: Path) -> None:
     build(folder, [LEG])
     for path in site(folder):
         page = Page(path)
@@ -146,9 +153,9 @@ def test_the_pages_can_be_used_without_a_mouse_or_eyes(tmp_path: Path, drawn: li
     assert 'aria-live="polite"' in index
 
 
-def test_a_page_tells_the_numbers_before_and_after(tmp_path: Path, drawn: list[str]) -> None:
-    build(tmp_path / "site", [FOOT])
-    text = Page(tmp_path / "site" / "variants" / f"{FOOT}.html").text
+def test_a_page_tells_the_numbers_before_and_after(folder: Path) -> None:
+    build(folder, [FOOT])
+    text = Page(folder / "variants" / f"{FOOT}.html").text
     found = differences(FOOT)
     assert found
     for difference in found:
@@ -157,14 +164,12 @@ def test_a_page_tells_the_numbers_before_and_after(tmp_path: Path, drawn: list[s
         assert f"{difference.after:.5g}" in text
     assert "It has no expert policy yet" in text
     assert "measured for this page" in text
-    base = Page(tmp_path / "site" / "variants" / "hopper-base.html")
+    base = Page(folder / "variants" / "hopper-base.html")
     assert "the robot of Gymnasium’s v5 environment" in base.text  # noqa: RUF001
     assert len(base.all("video")) == 1
 
 
-def test_an_experts_record_is_told_and_sorted_by(
-    tmp_path: Path, drawn: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_experts_record_is_told_and_sorted_by(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     evaluation = {"return_mean": 3183.5, "return_std": 12.0, "length_mean": 1000.0, "episodes": 100}
     random = {"return_mean": 18.25, "return_std": 3.0, "length_mean": 22.0, "episodes": 100}
     record = {"algorithm": "TQC", "evaluation": evaluation, "random": random}
@@ -172,14 +177,9 @@ def test_an_experts_record_is_told_and_sorted_by(
     monkeypatch.setattr(
         clips, "choose_policy", lambda variant: (RandomPolicy(3), "expert" if variant == LEG else "random")
     )
-    build(tmp_path / "site", [LEG])
-    cards = {
-        attrs["data-words"].split()[0]: attrs
-        for attrs in Page(tmp_path / "site" / "index.html").all("li")
-        if "data-words" in attrs
-    }
-    assert cards[str(LEG)]["data-return"] == "3183.5"
-    text = Page(tmp_path / "site" / "variants" / f"{LEG}.html").text
+    build(folder, [LEG])
+    assert cards(folder)[str(LEG)]["data-return"] == "3183.5"
+    text = Page(folder / "variants" / f"{LEG}.html").text
     assert "3,184 ± 12.0" in text or "3,183 ± 12.0" in text
     assert "18.2 ± 3.0" in text
     assert "its expert policy" in text
@@ -202,9 +202,7 @@ def test_an_expert_that_was_not_measured_yet_is_measured_for_its_page(
     assert expert.return_mean > 50 * random.return_mean > 0
 
 
-def test_cards_state_scores_normalised_by_the_base(
-    tmp_path: Path, drawn: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_cards_state_scores_normalised_by_the_base(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def record(variant: Variant) -> dict[str, Any]:
         expert = {LEG: 500.0, LEG.base: 2020.0}.get(variant)
         rest = {"return_std": 1.0, "length_mean": 50.0, "episodes": 100}
@@ -212,26 +210,24 @@ def test_cards_state_scores_normalised_by_the_base(
         return {"algorithm": "SAC", "random": {"return_mean": 20.0, **rest}, **evaluation}
 
     monkeypatch.setattr(entries, "measured_record", record)
-    build(tmp_path / "site", [LEG, FOOT])
-    page = Page(tmp_path / "site" / "index.html")
-    cards = {card["data-words"].split()[0]: card for card in page.all("li") if "data-words" in card}
+    build(folder, [LEG, FOOT])
     # (500 - 20) / (2020 - 20), and the random policy of the variant without an expert.
     expected = {"hopper-base": "1", str(LEG): "0.24", str(FOOT): "0"}
-    assert {name: card["data-normalised"] for name, card in cards.items()} == expected
-    assert "2 of 2 variants, 1 of 1 bases" in page.text
-    assert "0.24" in Page(tmp_path / "site" / "variants" / f"{LEG}.html").text
+    assert {name: card["data-normalised"] for name, card in cards(folder).items()} == expected
+    assert "2 of 2 variants, 1 of 1 bases" in Page(folder / "index.html").text
+    assert "0.24" in Page(folder / "variants" / f"{LEG}.html").text
 
 
-def test_a_page_has_its_neighbours_above_and_below(tmp_path: Path, drawn: list[str]) -> None:
-    build(tmp_path / "site", [LEG, FOOT])
-    page = Page(tmp_path / "site" / "variants" / f"{LEG}.html")
+def test_a_page_has_its_neighbours_above_and_below(folder: Path) -> None:
+    build(folder, [LEG, FOOT])
+    page = Page(folder / "variants" / f"{LEG}.html")
     links = [(link["rel"], link["href"]) for link in page.all("a") if "rel" in link]
     assert links == [("prev", "hopper-base.html"), ("next", f"{FOOT}.html")] * 2
-    heading = (tmp_path / "site" / "variants" / f"{LEG}.html").read_text("utf-8")
+    heading = (folder / "variants" / f"{LEG}.html").read_text("utf-8")
     assert "hopper-<wbr>massdec_<wbr>25_<wbr>leggeom</h1>" in heading
 
 
-def test_datasets_that_are_published_here_are_told(tmp_path: Path, drawn: list[str]) -> None:
+def test_datasets_that_are_published_here_are_told() -> None:
     published = publish(LEG, tier="random", episodes=3)
     publish(FOOT, tier="random", episodes=2)
     (score,) = entries.scores(LEG)
@@ -317,19 +313,19 @@ def test_a_variant_in_words(name: str, brief: str, sentence: str) -> None:
 
 
 def test_a_second_run_draws_nothing_and_needs_no_opengl(
-    tmp_path: Path, drawn: list[str], monkeypatch: pytest.MonkeyPatch
+    folder: Path, drawn: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    first = build(tmp_path / "site", [LEG])
-    pages = {path: path.read_bytes() for path in site(tmp_path / "site")}
+    first = build(folder, [LEG])
+    pages = {path: path.read_bytes() for path in site(folder)}
     monkeypatch.setattr(Studio, "context", property(lambda self: pytest.fail("drew")))
-    second = build(tmp_path / "site", [LEG])
+    second = build(folder, [LEG])
     assert (first.drawn, second.drawn) == (2, 0)
     assert drawn == ["hopper-base", str(LEG)]
-    assert {path: path.read_bytes() for path in site(tmp_path / "site")} == pages
+    assert {path: path.read_bytes() for path in site(folder)} == pages
 
 
-def test_a_run_that_was_broken_off_goes_on(tmp_path: Path, drawn: list[str]) -> None:
-    folder, chosen = tmp_path / "site", catalogue("hopper", "friction")
+def test_a_run_that_was_broken_off_goes_on(folder: Path, drawn: list[str]) -> None:
+    chosen = catalogue("hopper", "friction")
 
     def stop_after(count: int) -> Callable[[], None]:
         def advance() -> None:
@@ -345,10 +341,7 @@ def test_a_run_that_was_broken_off_goes_on(tmp_path: Path, drawn: list[str]) -> 
     assert len(drawn) == len(set(drawn)) == 4
 
 
-def test_what_has_changed_or_is_gone_is_drawn_again(
-    tmp_path: Path, drawn: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder = tmp_path / "site"
+def test_what_has_changed_or_is_gone_is_drawn_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     build(folder, [LEG])
     (folder / "clips" / f"{LEG}.mp4").unlink()
     assert build(folder, [LEG]).drawn == 1
@@ -358,8 +351,7 @@ def test_what_has_changed_or_is_gone_is_drawn_again(
     assert build(folder, [LEG]).drawn == 2
 
 
-def test_a_site_keeps_the_variants_that_it_has(tmp_path: Path, drawn: list[str]) -> None:
-    folder = tmp_path / "site"
+def test_a_site_keeps_the_variants_that_it_has(folder: Path) -> None:
     build(folder, [FOOT])
     built = build(folder, [LEG])
     assert (built.variants, built.drawn) == (3, 1)
@@ -367,13 +359,13 @@ def test_a_site_keeps_the_variants_that_it_has(tmp_path: Path, drawn: list[str])
     assert names == sorted(["hopper-base", str(LEG), str(FOOT)])
 
 
-def test_a_variant_outside_the_catalogue_can_be_shown(tmp_path: Path, drawn: list[str]) -> None:
+def test_a_variant_outside_the_catalogue_can_be_shown(folder: Path) -> None:
     variant = Variant.parse("hopper-massinc_37_torsogeom")
-    assert build(tmp_path / "site", [variant]).variants == 2
-    assert "+37" in (tmp_path / "site" / "index.html").read_text("utf-8")
+    assert build(folder, [variant]).variants == 2
+    assert "+37" in (folder / "index.html").read_text("utf-8")
 
 
-def test_a_folder_of_someone_elses_is_left_alone(tmp_path: Path, drawn: list[str]) -> None:
+def test_a_folder_of_someone_elses_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("years of work")
     with pytest.raises(StorageError, match="not a gallery and not empty"):
         build(tmp_path, [LEG])
@@ -384,7 +376,7 @@ def test_a_folder_of_someone_elses_is_left_alone(tmp_path: Path, drawn: list[str
 
 
 def test_a_variant_that_fails_is_named_and_the_others_are_shown(
-    tmp_path: Path, drawn: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     choose = clips.choose_policy
 
@@ -394,33 +386,31 @@ def test_a_variant_that_fails_is_named_and_the_others_are_shown(
         return choose(variant)
 
     monkeypatch.setattr(clips, "choose_policy", broken)
-    assert run(["gallery", str(tmp_path / "site"), str(LEG), str(FOOT), "--json"]) == 1
+    assert run(["gallery", str(folder), str(LEG), str(FOOT), "--json"]) == 1
     told = capsys.readouterr()
     assert f"{LEG}: the weights are torn" in told.err
     assert json.loads(told.out)["failed"] == {str(LEG): "the weights are torn"}
-    index = (tmp_path / "site" / "index.html").read_text("utf-8")
+    index = (folder / "index.html").read_text("utf-8")
     assert str(FOOT) in index
     assert str(LEG) not in index
 
 
 def test_a_site_of_which_every_variant_failed_can_be_continued(
-    tmp_path: Path, drawn: list[str], monkeypatch: pytest.MonkeyPatch
+    folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def broken(variant: Variant) -> Any:
         raise PolicyError("the weights are torn")
 
     with monkeypatch.context() as patch:
         patch.setattr(clips, "choose_policy", broken)
-        assert run(["gallery", str(tmp_path / "site"), str(LEG)]) == 1
-    assert run(["gallery", str(tmp_path / "site"), str(LEG)]) == 0
-    assert str(LEG) in (tmp_path / "site" / "index.html").read_text("utf-8")
+        assert run(["gallery", str(folder), str(LEG)]) == 1
+    assert run(["gallery", str(folder), str(LEG)]) == 0
+    assert str(LEG) in (folder / "index.html").read_text("utf-8")
 
 
-def test_the_first_page_names_the_robots_and_the_colours_that_it_shows(
-    tmp_path: Path, drawn: list[str]
-) -> None:
-    build(tmp_path / "site", [FOOT, Variant.parse("ant-gearinc_50_hip1-dampingdec_50_hip1")])
-    index = (tmp_path / "site" / "index.html").read_text("utf-8")
+def test_the_first_page_names_the_robots_and_the_colours_that_it_shows(folder: Path) -> None:
+    build(folder, [FOOT, Variant.parse("ant-gearinc_50_hip1-dampingdec_50_hip1")])
+    index = (folder / "index.html").read_text("utf-8")
     assert "2 variants and 2 base robots of Hopper and Ant. With an expert policy: 0." in index
     legend = re.findall(
         r'<span class="(\w+)">([^<]+)</span>', index[index.index("<header") : index.index("</header")]
@@ -430,7 +420,7 @@ def test_the_first_page_names_the_robots_and_the_colours_that_it_shows(
         ("gear", "strength of the motor"),
         ("damping", "damping"),
     ]
-    style = (tmp_path / "site" / "style.css").read_text("utf-8")
+    style = (folder / "style.css").read_text("utf-8")
     assert all(f".{name} {{ color: var(--{name}); }}" in style for name in COLOURS)
 
 
@@ -456,10 +446,8 @@ def test_a_missing_video_writer_is_told_before_the_work(
         build(tmp_path / "site", [LEG])
 
 
-def test_the_command_takes_the_filters_of_list(
-    tmp_path: Path, drawn: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    arguments = ["gallery", str(tmp_path / "site"), "--robot", "hopper", "--category", "friction"]
+def test_the_command_takes_the_filters_of_list(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["gallery", str(folder), "--robot", "hopper", "--category", "friction"]
     assert run(arguments) == 0
     assert "4 variants and bases, 4 drawn anew" in capsys.readouterr().out
     assert run([*arguments[:2], "--robot", "hoper"]) == 2
@@ -467,7 +455,7 @@ def test_the_command_takes_the_filters_of_list(
 
 
 def test_few_shot_scores_stand_on_the_pages_of_their_variants(
-    tmp_path: Path, drawn: list[str], capsys: pytest.CaptureFixture[str]
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cell = {
         "method": "mine",
@@ -485,13 +473,13 @@ def test_few_shot_scores_stand_on_the_pages_of_their_variants(
     ]
     text = "".join(json.dumps(line) + "\n" for line in lines)
     (tmp_path / "few-shot.jsonl").write_text(text, "utf-8")
-    arguments = ["gallery", str(tmp_path / "site"), str(LEG), str(FOOT), "--results"]
+    arguments = ["gallery", str(folder), str(LEG), str(FOOT), "--results"]
     assert run([*arguments, str(tmp_path)]) == 0
-    text = (tmp_path / "site" / "variants" / f"{LEG}.html").read_text("utf-8")
+    text = (folder / "variants" / f"{LEG}.html").read_text("utf-8")
     assert "<caption>hopper-extremes-v1, expert</caption>" in text
     rows = re.findall(r'<th scope="row">mine</th><td.*?>(\d+)</td><td.*?>(.*?)</td>', text)
     assert rows == [("0", "0.15 (0.15 to 0.15)"), ("25", "0.30 (0.30 to 0.30)")]
-    assert "Few-shot" not in Page(tmp_path / "site" / "variants" / f"{FOOT}.html").text
+    assert "Few-shot" not in Page(folder / "variants" / f"{FOOT}.html").text
     capsys.readouterr()
     assert run([*arguments, str(tmp_path / "nowhere")]) == 1
     assert "nowhere has no results: `imujoco benchmark few-shot` computes some" in capsys.readouterr().err

@@ -24,7 +24,6 @@ from imujoco_minari.errors import (
     DatasetError,
     DatasetNotFoundError,
     DependencyError,
-    PolicyNotFoundError,
     RenderingError,
     StorageError,
     VariantError,
@@ -36,7 +35,6 @@ from imujoco_minari.pictures.rendering.files import write_picture, write_video
 from imujoco_minari.pictures.rendering.film import (
     caption_height,
     captioned,
-    changes_in_words,
     contact_sheet,
     grid,
     sheet_steps,
@@ -305,19 +303,6 @@ def test_the_colours_differ_from_each_other_and_from_the_robot() -> None:
     for number, first in enumerate(colours):
         for second in colours[number + 1 :]:
             assert np.abs(np.subtract(first, second)).max() > 0.15
-
-
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("hopper-base", "unchanged"),
-        ("hopper-massdec_25_leggeom", "mass of leggeom -25 %"),
-        ("hopper-jointdec_50_legjoint", "range of legjoint -50 %"),
-        ("walker2d-frictioninc_50_feet", "friction of feet +50 %"),
-    ],
-)
-def test_the_caption_says_what_changes(name: str, words: str) -> None:
-    assert changes_in_words(Variant.parse(name)) == words
 
 
 @pytest.mark.parametrize(
@@ -607,14 +592,6 @@ def test_the_command_names_what_is_wrong(
     assert run(["render", *arguments]) == code
     assert words in capsys.readouterr().err
     assert list(tmp_path.glob("*.*")) == []
-
-
-def test_errors_are_the_builtins_that_fit() -> None:
-    assert issubclass(RenderingError, RuntimeError)
-    with pytest.raises(PolicyNotFoundError):
-        of_variant(HOPPER, "mine", None)
-    with pytest.raises(VariantError):
-        of_variant(Variant.parse("hopper-nothing"), "random", None)
 
 
 # Portraits
