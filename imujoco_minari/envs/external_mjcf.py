@@ -17,14 +17,7 @@ import mujoco
 import numpy as np
 
 from imujoco_minari.envs import mjcf
-from imujoco_minari.envs.untrusted_mjcf import (
-    WITHIN_BOUNDS,
-    check_bounds,
-    check_compiled,
-    check_text,
-    measure,
-    one_line,
-)
+from imujoco_minari.envs.untrusted_mjcf import check_bounds, check_compiled, check_text, measure, one_line
 from imujoco_minari.errors import ModelError
 from imujoco_minari.variants import Variant
 
@@ -56,8 +49,7 @@ def canonical_external_mjcf(text: str, robot: str, name: str) -> str:
     except (ValueError, KeyError) as error:
         raise ModelError(f"{name}: MuJoCo cannot compile the model: {one_line(error)}") from None
     _check_robot(model, robot, name)
-    check_bounds(measure(model), name)
-    WITHIN_BOUNDS.add(canonical)
+    check_bounds(measure(model), canonical, name)
     return canonical
 
 

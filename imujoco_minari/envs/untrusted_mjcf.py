@@ -92,8 +92,7 @@ def check_compiled(text: str, name: str) -> None:
     fields = json.loads(result)
     if isinstance(fields, str):
         raise ModelError(f"{name}: MuJoCo cannot compile the model: {fields}")
-    check_bounds(fields, name)
-    WITHIN_BOUNDS.add(text)
+    check_bounds(fields, text, name)
 
 
 def measure(model: mujoco.MjModel) -> dict[str, float]:
@@ -101,13 +100,14 @@ def measure(model: mujoco.MjModel) -> dict[str, float]:
     return {field: float(attrgetter(field)(model)) for field in _BOUNDS}
 
 
-def check_bounds(fields: Mapping[str, float], name: str) -> None:
-    """Raise a ModelError if a field of a compiled model is out of its bounds."""
+def check_bounds(fields: Mapping[str, float], text: str, name: str) -> None:
+    """Note that the compiled model of a text is within the bounds; raise a ModelError if it is not."""
     for field, (low, high) in _BOUNDS.items():
         if not low <= fields[field] <= high:
             raise ModelError(
                 f"{name}: {field} of the compiled model is {fields[field]:g}; valid: {low:g} to {high:g}"
             )
+    WITHIN_BOUNDS.add(text)
 
 
 def check_text(text: str, name: str) -> ET.Element:

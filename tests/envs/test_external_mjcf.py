@@ -12,7 +12,7 @@ import original_archive
 import pytest
 
 import imujoco_minari
-from imujoco_minari.envs import collection_spec, environment_spec, external_mjcf, mjcf, untrusted_mjcf
+from imujoco_minari.envs import collection_spec, environment_spec, mjcf, untrusted_mjcf
 from imujoco_minari.envs.differences import model_differences
 from imujoco_minari.envs.external_mjcf import canonical_external_mjcf
 from imujoco_minari.envs.registration import current_spec, dataset_spec, is_entry_point, stored_models
@@ -163,10 +163,8 @@ def test_a_text_is_compiled_apart_once(monkeypatch: pytest.MonkeyPatch) -> None:
         calls.append(arguments)
         return run_limited(*arguments, **limits)
 
-    within: set[str] = set()
     monkeypatch.setattr(untrusted_mjcf, "run_limited", counted)
-    monkeypatch.setattr(untrusted_mjcf, "WITHIN_BOUNDS", within)
-    monkeypatch.setattr(external_mjcf, "WITHIN_BOUNDS", within)
+    monkeypatch.setattr(untrusted_mjcf, "WITHIN_BOUNDS", set())
     text = mjcf.canonical_mjcf(Variant.parse("hopper-massinc_3_leggeom"))
     for _ in range(2):
         check_mjcf(text, "test")
