@@ -9,6 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from imujoco_minari.envs.categories.friction import contact_parameter
 from imujoco_minari.envs.mjcf import canonical_mjcf, compile_mjcf, healthy_z_range
 from imujoco_minari.variants import Variant
 
@@ -95,6 +96,4 @@ def _friction(model: mujoco.MjModel, geom_id: int) -> float:
     for i in range(model.npair):
         if {int(model.pair_geom1[i]), int(model.pair_geom2[i])} == {geom.id, floor.id}:
             return float(model.pair_friction[i][0])
-    if geom.priority[0] != floor.priority[0]:
-        return float(max((geom, floor), key=lambda g: g.priority[0]).friction[0])
-    return float(max(geom.friction[0], floor.friction[0]))
+    return float(contact_parameter(geom, floor, "friction")[0])

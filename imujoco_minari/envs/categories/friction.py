@@ -17,18 +17,19 @@ from imujoco_minari.envs.categories.interface import CategoryLaw, Edit, find, fi
 def _apply(edit: Edit) -> None:
     floor = find(edit.spec, "geom", "floor")
     for foot in find_all(edit, "geom"):
-        slide, spin, roll = _contact(foot, floor, "friction")
+        slide, spin, roll = contact_parameter(foot, floor, "friction")
         slide *= edit.factor
         pair = edit.spec.add_pair(geomname1="floor", geomname2=foot.name)
-        pair.condim = int(_contact(foot, floor, "condim"))
+        pair.condim = int(contact_parameter(foot, floor, "condim"))
         pair.friction = [slide, slide, spin, roll, roll]
-        pair.solref, pair.solimp = _contact(foot, floor, "solref"), _contact(foot, floor, "solimp")
+        pair.solref = contact_parameter(foot, floor, "solref")
+        pair.solimp = contact_parameter(foot, floor, "solimp")
         pair.margin = foot.margin + floor.margin
         pair.gap = foot.gap + floor.gap
 
 
-def _contact(foot: Any, floor: Any, name: str) -> Any:
-    """Return a parameter of the contact of two geoms.
+def contact_parameter(foot: Any, floor: Any, name: str) -> Any:
+    """Return a parameter of the contact of two geoms, of a spec or of a compiled model.
 
     It is that of the geom with the higher priority. Of two with one priority, it is the larger value, or for
     the solver's parameters the mean by the weights of the geoms.
