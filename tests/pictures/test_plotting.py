@@ -16,6 +16,7 @@ from safetensors.numpy import save_file
 
 from imujoco_minari import combine_datasets, publish
 from imujoco_minari.cli.app import run
+from imujoco_minari.envs.mjcf import variant_model
 from imujoco_minari.errors import DatasetError, DependencyError
 from imujoco_minari.pictures.plotting.datasets import (
     FIGURES,
@@ -55,6 +56,23 @@ def test_every_column_has_a_name_and_a_unit(robot: str) -> None:
     assert (len(observations), len(actions)) == specification(robot).sizes
     assert len({*observations, *actions}) == sum(specification(robot).sizes)
     assert {label.rpartition(" ")[2] for label in observations} == {"(m)", "(rad)", "(m/s)", "(rad/s)"}
+
+
+@pytest.mark.parametrize(
+    ("robot", "first"),
+    [
+        ("swimmer", "angle of free_body_rot (rad)"),
+        ("ant", "z of root (m)"),
+        ("humanoid", "z of root (m)"),
+    ],
+)
+def test_the_columns_of_other_robots_are_positions_and_then_velocities(robot: str, first: str) -> None:
+    names, page = observation_labels(robot), specification(robot)
+    positions, velocities = names[: page.observed_positions], names[page.observed_positions :]
+    assert positions[0] == first
+    assert len(set(names)) == len(names) <= page.observation_size
+    assert len(velocities) == variant_model(Variant(robot)).nv
+    assert [name for name in names if name.startswith("velocity ")] == velocities
 
 
 def test_the_columns_are_in_the_order_of_the_environment() -> None:

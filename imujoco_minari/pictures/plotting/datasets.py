@@ -22,7 +22,7 @@ from imujoco_minari.loading import Arrays, arrays
 from imujoco_minari.pictures.plotting.style import BASE_EDGE, BASE_FILL, line_style, new_figure, save
 from imujoco_minari.policies import Array
 from imujoco_minari.storage import minari_root
-from imujoco_minari.variants import BASE, Variant
+from imujoco_minari.variants import BASE, Variant, specification
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,6 +32,19 @@ BINS = 60
 # The bins cover the values between these percentiles. The few extremes of a fall would flatten the rest.
 PERCENTILES = (0.1, 99.9)
 COLUMNS = 4
+
+_TURNS = tuple(f"quaternion {part} of {{}} (1)" for part in "wxyz")
+_SPINS = tuple(f"velocity about {axis} of {{}} (rad/s)" for axis in "xyz")
+# The labels of a joint's positions and velocities.
+_JOINT_LABELS: dict[mujoco.mjtJoint, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    mujoco.mjtJoint.mjJNT_HINGE: (("angle of {} (rad)",), ("velocity of {} (rad/s)",)),
+    mujoco.mjtJoint.mjJNT_SLIDE: (("position of {} (m)",), ("velocity of {} (m/s)",)),
+    mujoco.mjtJoint.mjJNT_BALL: (_TURNS, _SPINS),
+    mujoco.mjtJoint.mjJNT_FREE: (
+        (*(f"{axis} of {{}} (m)" for axis in "xyz"), *_TURNS),
+        (*(f"velocity along {axis} of {{}} (m/s)" for axis in "xyz"), *_SPINS),
+    ),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,15 +125,15 @@ def plot_datasets(
 
 
 def observation_labels(robot: str) -> list[str]:
-    """Return the labels of an observation: positions without the travelled distance, then velocities."""
-    model = variant_model(Variant(robot))
+    """Return the labels of the positions, then of the velocities, with which an observation begins."""
+    model, page = variant_model(Variant(robot)), specification(robot)
     positions, velocities = [], []
-    for number, kind in enumerate(model.jnt_type):
-        what, unit = ("angle", "rad") if kind == mujoco.mjtJoint.mjJNT_HINGE else ("position", "m")
-        name = model.joint(number).name
-        positions.append(f"{what} of {name} ({unit})")
-        velocities.append(f"velocity of {name} ({unit}/s)")
-    return positions[1:] + velocities
+    for joint in map(model.joint, range(model.njnt)):
+        of_position, of_velocity = _JOINT_LABELS[mujoco.mjtJoint(joint.type[0])]
+        positions += [label.format(joint.name) for label in of_position]
+        velocities += [label.format(joint.name) for label in of_velocity]
+    # The positions that are left out, as the travelled distance, are the first.
+    return positions[-page.observed_positions :] + velocities
 
 
 def action_labels(robot: str) -> list[str]:
