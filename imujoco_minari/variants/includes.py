@@ -6,6 +6,7 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 from imujoco_minari.errors import CatalogueError
+from imujoco_minari.variants.robots import read_file
 
 # A model of more than 48 KiB is refused later. Comments may make its files longer.
 _MAX_BYTES, _MAX_INCLUDES = 2**20, 100
@@ -52,15 +53,7 @@ def _insert_includes(
 
 
 def _read(path: Path) -> ET.Element:
-    # A pipe, for example, would wait without end.
-    if not path.is_file():
-        raise CatalogueError(f"{path}: cannot be read: it is no file")
-    try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise CatalogueError(f"{path}: the file has more than {_MAX_BYTES} bytes")
-        text = path.read_text("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise CatalogueError(f"{path}: cannot be read: {error}") from None
+    text = read_file(path, _MAX_BYTES)
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise CatalogueError(f"{path}: a model with a DOCTYPE or entities is refused")
     try:

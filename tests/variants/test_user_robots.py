@@ -205,10 +205,11 @@ def test_files_that_include_each_other_many_times_are_refused(folder: Path) -> N
         imujoco_minari.load_catalogue(folder)
 
 
-def test_a_pipe_is_not_read(folder: Path) -> None:
-    (folder / "motors.xml").unlink()
-    os.mkfifo(folder / "motors.xml")
-    with pytest.raises(CatalogueError, match=r"motors.xml: cannot be read: it is no file"):
+@pytest.mark.parametrize("name", ["strong.toml", "motors.xml"])
+def test_a_pipe_is_not_read(folder: Path, name: str) -> None:
+    (folder / name).unlink()
+    os.mkfifo(folder / name)
+    with pytest.raises(CatalogueError, match=rf"{name}: cannot be read: it is no file"):
         imujoco_minari.load_catalogue(folder)
 
 
