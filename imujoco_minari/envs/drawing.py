@@ -199,7 +199,9 @@ class CollectionEnv(DrawingEnv, EzPickle):
             environment.close()  # type: ignore[no-untyped-call]
 
     def _choose(self, name: str | None, seed: int) -> VariantEnv:
-        if name is None:
+        if name is None and self._probabilities is None:
+            name = self.variants[self.np_random.integers(len(self.variants))]
+        elif name is None:
             name = self.variants[self.np_random.choice(len(self.variants), p=self._probabilities)]
         self._check(name)
         return self._environment(name)
