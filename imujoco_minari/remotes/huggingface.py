@@ -18,7 +18,7 @@ from huggingface_hub.errors import HfHubHTTPError, RemoteEntryNotFoundError, Rep
 from minari.storage.remotes.huggingface import HuggingFaceStorage
 
 from imujoco_minari.errors import RemoteError
-from imujoco_minari.remotes.stores import CARD, FILES, namespace_file, parse_object, registered_ids
+from imujoco_minari.remotes.stores import CARD, FILES, namespace_file, parse_object
 from imujoco_minari.storage.file_format import file_sha256
 from imujoco_minari.storage.minari_root import dataset_folder
 from imujoco_minari.storage.transactions import NAMESPACE_FILE
@@ -44,9 +44,7 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
 
     def registered(self, dataset_id: str) -> bool:
         """Return whether the repository's namespace metadata names the dataset."""
-        name = namespace_file(self._decompose_path(dataset_id)[0])
-        data = self.read(name)
-        return data is not None and dataset_id in registered_ids(data, name)
+        return dataset_id in self._registry(self._decompose_path(dataset_id)[0])["datasets"]
 
     def holds(self, dataset_id: str) -> bool:
         """Return whether the Hub's digests of a dataset's files equal those of the local files."""
@@ -65,8 +63,10 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
         for attempt in range(_ATTEMPTS):
             head = self._api.repo_info(self._repo_id(repository), repo_type="dataset").sha
             try:
-                registry = self._registry_including(repository, dataset_id, head)
-                self._commit(repository, files | {NAMESPACE_FILE: registry}, f"Add {dataset_id}", head)
+                registry = self._registry(repository, head)
+                registry["datasets"] = sorted({*registry["datasets"], dataset_id})
+                files[NAMESPACE_FILE] = json.dumps(registry).encode()
+                self._commit(repository, files, f"Add {dataset_id}", head)
                 return
             except HfHubHTTPError as error:
                 # Another push was faster. The next attempt reads its registration and keeps it.
@@ -99,12 +99,15 @@ class HubStore(HuggingFaceStorage):  # type: ignore[misc,unused-ignore]
         )
         return Path(file)
 
-    def _registry_including(self, repository: str, dataset_id: str, head: str) -> bytes:
+    def _registry(self, repository: str, revision: str | None = None) -> dict[str, Any]:
+        """Return the metadata of a namespace, with the ids that it registers as ``datasets``."""
         name = namespace_file(repository)
-        data = self.read(name, head)
-        registry, known = ({}, []) if data is None else (parse_object(data, name), registered_ids(data, name))
-        registry["datasets"] = sorted({*known, dataset_id})
-        return json.dumps(registry).encode()
+        data = self.read(name, revision)
+        registry = {} if data is None else parse_object(data, name)
+        ids = registry.setdefault("datasets", [])
+        if not isinstance(ids, list) or not all(isinstance(each, str) for each in ids):
+            raise RemoteError(f"{name} on the remote is damaged: its datasets are not a list of ids")
+        return registry
 
     def _commit(self, repository: str, files: dict[str, Any], message: str, parent: str | None) -> None:
         self._api.create_commit(

@@ -119,18 +119,6 @@ def parse_object(data: bytes, name: str) -> dict[str, Any]:
     return value
 
 
-def registered_ids(data: bytes, name: str) -> list[str]:
-    """Return the dataset ids that the metadata of a namespace registers; an error names the file ``name``.
-
-    Raises:
-        RemoteError: if the content is not such metadata.
-    """
-    ids = parse_object(data, name).get("datasets", [])
-    if not isinstance(ids, list) or not all(isinstance(each, str) for each in ids):
-        raise RemoteError(f"{name} on the remote is damaged: its datasets are not a list of ids")
-    return ids
-
-
 def namespace_file(namespace: str) -> str:
     """Return the path of a namespace's metadata on a remote."""
     return f"{namespace}/{NAMESPACE_FILE}"
