@@ -104,7 +104,7 @@ class Sampler:
         Args:
             tot_shots: number of episodes.
             idx: the number of a variant (and tier) in ``arrays.table``, or the id of a variant; None draws a
-                number. If a variant has several tiers, its id draws one of them.
+                number that has episodes. If a variant has several tiers, its id draws one of them.
             replace: whether an episode may be drawn twice.
 
         Raises:
@@ -112,7 +112,7 @@ class Sampler:
             DatasetError: when the variant has too few episodes.
         """
         whole_number(tot_shots, "tot_shots", least=1)
-        place = int(self._rng.integers(len(self))) if idx is None else self._place(idx)
+        place = self._drawn_place() if idx is None else self._place(idx)
         episodes, variant = self._episodes[place], self.arrays.table[place].variant
         if not len(episodes) or (tot_shots > len(episodes) and not replace):
             raise DatasetError(
@@ -132,6 +132,11 @@ class Sampler:
             drawn = [torch.from_numpy(array) for array in drawn]
         observations, actions, mask = drawn
         return Shots(observations, actions, mask, variant)
+
+    def _drawn_place(self) -> int:
+        # A small portion may have no episode of a variant.
+        present = [place for place, episodes in enumerate(self._episodes) if len(episodes)]
+        return present[self._rng.integers(len(present))]
 
     def _place(self, idx: int | str) -> int:
         names = [origin.variant for origin in self.arrays.table]
@@ -168,7 +173,7 @@ def few_shot(data: Arrays, *, shots: int = 5, queries: int | None = None, seed: 
     whole_number(seed, "seed", least=0)
     support: list[int] = []
     query: list[int] = []
-    for order in selection.shuffled(data.origins, seed):
+    for order, _ in selection.shuffled(data.origins, seed):
         needed = shots + (1 if queries is None else queries)
         if len(order) < needed:
             raise DatasetError(

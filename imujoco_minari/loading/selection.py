@@ -218,19 +218,22 @@ def portion_of(origins: Sequence[Origin], portion: tuple[float, float], seed: in
     if (low, high) == (0, 1):
         return list(range(len(origins)))
     chosen: list[int] = []
-    for order in shuffled(origins, seed):
-        chosen += order[int(low * len(order) + 0.5) : int(high * len(order) + 0.5)]
+    for order, drawn in shuffled(origins, seed):
+        # Where each episode draws its variant, every variant has one episode. If all of them were rounded in
+        # the same direction, one share would have everything and the other nothing.
+        rounding = drawn if len(order) == 1 else 0.5
+        chosen += order[int(low * len(order) + rounding) : int(high * len(order) + rounding)]
     if not chosen:
         raise DatasetError(f"no episode falls into the portion {portion} of {len(origins)}")
     return sorted(chosen)
 
 
-def shuffled(origins: Sequence[Origin], seed: int) -> Iterator[list[int]]:
-    """Yield, for each origin, the places of its episodes in an order drawn by ``seed``."""
+def shuffled(origins: Sequence[Origin], seed: int) -> Iterator[tuple[list[int], float]]:
+    """Yield, for each origin, the places of its episodes in a drawn order, and a number drawn from [0, 1)."""
     places: dict[Origin, list[int]] = {}
     for place, origin in enumerate(origins):
         places.setdefault(origin, []).append(place)
     for origin, members in places.items():
         digest = hashlib.sha256(f"{origin.variant} {origin.tier}".encode()).digest()
         rng = np.random.default_rng([seed, int.from_bytes(digest[:8], "little")])
-        yield [members[i] for i in rng.permutation(len(members))]
+        yield [members[i] for i in rng.permutation(len(members))], rng.random()

@@ -26,7 +26,7 @@ from imujoco_minari.errors import (
     StorageError,
     VariantError,
 )
-from imujoco_minari.loading import STEP_ARRAYS, Arrays, Sampler, arrays, selection
+from imujoco_minari.loading import STEP_ARRAYS, Arrays, Origin, Sampler, arrays, selection
 from imujoco_minari.loading.statistics import measure
 from imujoco_minari.publishing.combiner import combine_datasets
 from imujoco_minari.storage import minari_root
@@ -137,6 +137,17 @@ def test_the_share_of_a_variant_does_not_depend_on_the_others(small_datasets: li
     assert_same(alone, among)
     chosen_later = arrays(small_datasets).portion(0.0, 0.5, seed=1).select([4, 5])
     np.testing.assert_array_equal(alone.observations, chosen_later.observations)
+
+
+def test_a_share_of_episodes_that_each_have_a_variant_of_their_own_is_a_share_of_these_variants() -> None:
+    drawn = [
+        Origin(f"hopper-massinc_{p}p25_leggeom", "hopper", "mass", "leggeom", p + 0.25) for p in range(99)
+    ]
+    data = synthetic([2] * 99, drawn)
+    train, test = (data.portion(*share, seed=3).origins for share in ((0.0, 0.75), (0.75, 1.0)))
+    assert 60 < len(train) < 90
+    assert sorted(train + test) == sorted(drawn)
+    assert data.select(range(40)).portion(0.0, 0.75, seed=3).origins == [o for o in drawn[:40] if o in train]
 
 
 def test_another_seed_is_another_share(small_datasets: list[str]) -> None:

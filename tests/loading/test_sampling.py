@@ -137,6 +137,7 @@ def test_a_variant_without_episodes_in_the_portion_is_refused(replace: bool) -> 
     sampler = Sampler(synthetic([3] * 9, [BASE] * 8 + [LEG]), portion=(0.0, 0.25), horizon=3)
     with pytest.raises(DatasetError, match=f"{LEG.variant} has 0 episodes in this portion"):
         sampler.sample(1, idx=LEG.variant, replace=replace)
+    assert {sampler.sample(1, replace=replace).variant for _ in range(20)} == {BASE.variant}
 
 
 @pytest.mark.parametrize("idx", [1, -1, "hopper-bas", 0.5, [0]])
