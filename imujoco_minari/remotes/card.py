@@ -16,8 +16,8 @@ import numpy as np
 
 from imujoco_minari.envs.differences import differences
 from imujoco_minari.errors import VariantError
-from imujoco_minari.policies.tiers import EXPERT_STOCHASTIC, MEDIUM_REPLAY, RANDOM, REPLAY, TIERS
-from imujoco_minari.storage.file_format import MAIN_FILE, REPLAYABLE
+from imujoco_minari.policies.tiers import EXPERT_STOCHASTIC, LARGE_TIERS, MEDIUM_REPLAY, RANDOM, REPLAY, TIERS
+from imujoco_minari.storage.file_format import LINKED, MAIN_FILE, REPLAYABLE
 from imujoco_minari.storage.metadata import AUTHOR, read_metadata, sources, texts
 from imujoco_minari.storage.missing import making
 from imujoco_minari.variants import parse_dataset_id
@@ -163,9 +163,9 @@ def _reproducing_command(metadata: Mapping[str, Any]) -> str:
     try:
         _, tier = parse_dataset_id(dataset_id)
     except VariantError:
-        combined = sources(metadata)
-        return f"imujoco combine {' '.join(combined)} --id {dataset_id}" if combined else ""
-    if metadata.get("author") != [AUTHOR] or tier not in (*TIERS, REPLAY):
+        combined, link = sources(metadata), " --link" if LINKED in metadata else ""
+        return f"imujoco combine {' '.join(combined)} --id {dataset_id}{link}" if combined else ""
+    if metadata.get("author") != [AUTHOR] or tier not in (*TIERS, *LARGE_TIERS):
         return ""
     command = making(dataset_id)
     if tier == REPLAY:

@@ -303,6 +303,36 @@ def test_others_data_is_not_licensed_by_us(published: Path, tmp_path: Path, stat
     assert ("not from its archive" in text) == (stated["author"] == ["imujoco_minari"])
 
 
+@pytest.mark.parametrize(
+    ("dataset_id", "stated", "command"),
+    [
+        ("hopper-base-v0", {"policy_deterministic": True}, "publish hopper-base --episodes 2 --seed 0"),
+        ("hopper-base-random-v0", {}, "publish hopper-base --tier random --episodes 2 --seed 0"),
+        (
+            "hopper-base-medium-large-v0",
+            {},
+            "publish hopper-base --tier medium-large --episodes 2 --seed 0 --stochastic",
+        ),
+        ("hopper-base-medium-replay-v0", {}, "publish hopper-base --tier medium-replay --seed 0"),
+        ("hopper-base-replay-v0", {}, "train hopper-base --record-replay"),
+        ("hopper-both-v0", {"combined_datasets": [HOPPER]}, f"combine {HOPPER} --id {LINKED}"),
+        (
+            "hopper-both-v0",
+            {"combined_datasets": [HOPPER], "linked": []},
+            f"combine {HOPPER} --id {LINKED} --link",
+        ),
+        ("hopper-base-mine-v0", {}, ""),
+        ("hopper-base-random-v0", {"author": ["someone"]}, ""),
+    ],
+)
+def test_a_card_states_the_command_that_makes_the_dataset(
+    dataset_id: str, stated: dict[str, Any], command: str
+) -> None:
+    made = {"author": ["imujoco_minari"], "total_episodes": 2, "policy_deterministic": False} | stated
+    found = card._reproducing_command(made | {"dataset_id": f"imujoco/{dataset_id}"})
+    assert found == (f"imujoco {command}" if command else "")
+
+
 def test_pulling_leaves_alone_what_is_here_and_names_what_is_not_there(store: FolderStore) -> None:
     assert [outcome.downloaded for outcome in remotes.pull(HOPPER, REMOTE)] == [False]
     with pytest.raises(DatasetNotFoundError, match="gcp://bucket lists no imujoco/nothing-v0"):
