@@ -1,7 +1,7 @@
 """LeRobot's dataset format v3.0: Parquet files of frames and episodes, and JSON metadata. Requires pyarrow.
 
-Each variant is a task. Floats are float32. The export loses the final observation of each episode;
-``next.done`` and ``next.truncated`` state how it ended.
+Each variant is a task. Floats are float32. The export loses the final observation of each episode, and its
+tier; ``next.done`` and ``next.truncated`` state how it ended.
 """
 
 from __future__ import annotations
@@ -42,7 +42,11 @@ def write(data: Arrays, target: Path, *, states_only: bool) -> None:
         raise missing_dependency("pyarrow", "lerobot", "the format lerobot") from None
     robot = data.table[0].robot
     rate = specification(robot).steps_per_second if robot in known_robots() else _UNKNOWN_RATE
-    columns = _columns(data, rate, states_only)
+    # LeRobot looks a task up by its name, so two tiers of a variant are one task.
+    tasks = list(dict.fromkeys(origin.variant for origin in data.table))
+    places = {task: place for place, task in enumerate(tasks)}
+    task_index = np.array([places[origin.variant] for origin in data.table])[data.variant_index]
+    columns = _columns(data, rate, task_index, states_only)
     # The number of the file for each episode.
     files = data.episode_starts // _FILE_FRAMES
     for number in np.unique(files):
@@ -50,16 +54,15 @@ def write(data: Arrays, target: Path, *, states_only: bool) -> None:
         rows = slice(int(data.episode_starts[first]), int(data.episode_ends[last]))
         chunk = {name: column[rows] for name, column in columns.items()}
         _parquet(target / "data" / _file_name(int(number)), chunk)
-    tasks = [origin.variant for origin in data.table]
     _parquet(target / "meta" / "tasks.parquet", {"task_index": np.arange(len(tasks))}, index=("task", tasks))
-    _parquet(target / "meta" / "episodes" / _file_name(0), _episodes(data, tasks, files))
+    _parquet(target / "meta" / "episodes" / _file_name(0), _episodes(data, files))
     statistics = {name: _statistics(column) for name, column in columns.items()}
-    for name, content in (("stats", statistics), ("info", _info(data, columns, rate))):
+    for name, content in (("stats", statistics), ("info", _info(data, columns, rate, len(tasks)))):
         path = target / "meta" / f"{name}.json"
         path.write_text(json.dumps(content, indent=4) + "\n", "utf-8")
 
 
-def _columns(data: Arrays, rate: float, states_only: bool) -> ColumnArrays:
+def _columns(data: Arrays, rate: float, task_index: NDArray[Any], states_only: bool) -> ColumnArrays:
     frame = np.arange(len(data)) - np.repeat(data.episode_starts, data.episode_lengths)
     columns: ColumnArrays = {"observation.state": data.observations.astype(np.float32)}
     if not states_only:
@@ -72,7 +75,7 @@ def _columns(data: Arrays, rate: float, states_only: bool) -> ColumnArrays:
         "frame_index": frame,
         "episode_index": np.repeat(np.arange(data.episodes), data.episode_lengths),
         "index": np.arange(len(data)),
-        "task_index": data.variant_index.astype(np.int64),
+        "task_index": task_index,
     }
 
 
@@ -80,11 +83,11 @@ def _file_name(number: int) -> str:
     return _PATH.format(chunk_index=number // _FILES_A_CHUNK, file_index=number % _FILES_A_CHUNK)
 
 
-def _episodes(data: Arrays, tasks: list[str], files: NDArray[Any]) -> dict[str, Any]:
+def _episodes(data: Arrays, files: NDArray[Any]) -> dict[str, Any]:
     nothing = np.zeros(data.episodes, np.int64)
     return {
         "episode_index": np.arange(data.episodes),
-        "tasks": [[tasks[place]] for place in data.episode_variants],
+        "tasks": [[origin.variant] for origin in data.origins],
         "length": data.episode_lengths,
         "data/chunk_index": files // _FILES_A_CHUNK,
         "data/file_index": files % _FILES_A_CHUNK,
@@ -109,7 +112,7 @@ def _statistics(column: NDArray[Any]) -> dict[str, list[float]]:
     return {name: value.tolist() for name, value in numbers.items()}
 
 
-def _info(data: Arrays, columns: ColumnArrays, rate: float) -> dict[str, Any]:
+def _info(data: Arrays, columns: ColumnArrays, rate: float, tasks: int) -> dict[str, Any]:
     features = {
         name: {"dtype": str(column.dtype), "shape": list(column.shape[1:]) or [1], "names": None}
         for name, column in columns.items()
@@ -119,7 +122,7 @@ def _info(data: Arrays, columns: ColumnArrays, rate: float) -> dict[str, Any]:
         "robot_type": data.table[0].robot or None,
         "total_episodes": data.episodes,
         "total_frames": len(data),
-        "total_tasks": len(data.table),
+        "total_tasks": tasks,
         "chunks_size": _FILES_A_CHUNK,
         "data_files_size_in_mb": 100,
         "video_files_size_in_mb": 200,

@@ -11,7 +11,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from synthetic_arrays import BASE, LEG, synthetic
+from synthetic_arrays import BASE, LEG, RANDOM, synthetic
 
 from imujoco_minari.cli.app import run
 from imujoco_minari.errors import DatasetError, DatasetExistsError, DependencyError, StorageError
@@ -190,6 +190,16 @@ def test_lerobot_holds_every_frame(data: Arrays, tmp_path: Path, monkeypatch: py
         assert [f["next.done"] for f in chosen] == [False] * (len(chosen) - 1) + [True]
         assert [f["index"] for f in chosen] == list(range(rows.start, rows.stop))
     assert len({(e["data/chunk_index"], e["data/file_index"]) for e in episodes}) > 1
+
+
+def test_lerobot_has_one_task_for_the_tiers_of_a_variant(tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    export(synthetic([2, 2, 2], [BASE, RANDOM, LEG]), "lerobot", tmp_path / "x")
+    tasks = parquet.read_table(tmp_path / "x" / "meta" / "tasks.parquet").to_pylist()
+    assert tasks == [{"task_index": 0, "task": BASE.variant}, {"task_index": 1, "task": LEG.variant}]
+    (frames,) = (tmp_path / "x" / "data").rglob("*.parquet")
+    assert parquet.read_table(frames)["task_index"].to_pylist() == [0, 0, 0, 0, 1, 1]
+    assert json.loads((tmp_path / "x" / "meta" / "info.json").read_text())["total_tasks"] == 2
 
 
 @pytest.mark.parametrize("format", ["d4rl", "npz", "rlds"])
