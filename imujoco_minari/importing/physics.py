@@ -40,11 +40,8 @@ class Physics:
         self._state = self.positions + self._raw.model.nv
         self.can_terminate = hasattr(self._raw, "is_healthy")
         noise = self._raw._reset_noise_scale
-        # HalfCheetah's initial velocities are normal with this deviation; those of the others are uniform.
-        spread = 1.01 if self.can_terminate else 6.0
-        self._reset_bounds = np.concatenate(
-            [np.full(self.positions, 1.01 * noise), np.full(self._raw.model.nv, spread * noise)]
-        )
+        # The initial velocities of HalfCheetah and Ant are normal with this deviation, all else is uniform.
+        self._reset_bounds = noise * np.repeat([1.01, 6.0], [self.positions, self._raw.model.nv])
         self._rest = np.concatenate([self._raw.init_qpos[self._hidden :], self._raw.init_qvel])
 
     def __enter__(self) -> Physics:

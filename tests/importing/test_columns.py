@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import original_archive
 import pytest
@@ -15,6 +16,7 @@ from imujoco_minari.errors import DatasetError
 from imujoco_minari.importing.columns import layout, read_table
 from imujoco_minari.importing.physics import Physics
 from imujoco_minari.importing.transitions import Cut, Transitions, cut
+from imujoco_minari.variants import Variant, known_robots
 from imujoco_minari.variants.original import OriginalVariant
 
 HOPPER, CHEETAH = "hopper-massdec_25_leggeom", "halfcheetah-jointdec_25_bfoot"
@@ -196,6 +198,26 @@ def test_a_reset_that_no_flag_announces_is_found(cutter: Cutter) -> None:
     assert "Episodes that end at a reset that the source does not mark: 1." in found.notes
     ended = [(e.terminations[-1], e.truncations[-1]) for e in found.episodes()]
     assert ended == [(True, False), (False, True), (True, False), (True, False)]
+
+
+@pytest.mark.parametrize("robot", known_robots())
+def test_a_reset_of_any_robot_is_found(robot: str) -> None:
+    """In Ant and HalfCheetah, the velocities of a reset are normal, so some are larger than in the others."""
+    spec = environment_spec(Variant(robot))
+    env = gym.make(spec)
+    env.action_space.seed(0)
+    rows = []
+    for seed in range(4):
+        observation, _ = env.reset(seed=seed)
+        for _ in range(9):
+            action = env.action_space.sample()
+            rows.append((observation, action))
+            observation = env.step(action)[0]
+    env.close()
+    observations, actions = map(np.array, zip(*rows, strict=True))
+    with Physics(spec) as physics:
+        found = cut(Transitions(observations, actions, np.zeros(len(rows), bool)), physics)
+    assert found.bounds == ((0, 9), (9, 18), (18, 27), (27, 36))
 
 
 def test_flags_that_the_source_tells_apart_are_kept(cutter: Cutter) -> None:
