@@ -69,7 +69,7 @@ def import_dataset(
         source: a Minari dataset's id or folder, or an HDF5 (D4RL's layout) or ``.npz`` file.
         variant: the variant that the data belong to.
         tier: the tier of the published dataset.
-        columns: the columns of the file's table, when the user states them.
+        columns: the columns of the table of an ``.npz`` file, when the user states them.
         force: replace a dataset that has the id.
 
     Raises:
@@ -77,6 +77,8 @@ def import_dataset(
     """
     dataset_id = variant.dataset_id(tier)
     read = read_source(source, variant.robot, columns)
+    if columns is not None and not read.columns:
+        raise DatasetError(f"{source}: is {read.kind} whose arrays have names: leave out --columns")
     spec = environment_spec(variant)
     with Physics(spec) as physics:
         found = cut(read.transitions, physics)

@@ -220,6 +220,10 @@ def test_what_cannot_be_imported_is_named(tmp_path: Path, capsys: pytest.Capture
         read_source(str(tmp_path), "hopper")
     with pytest.raises(DatasetNotFoundError, match="no such file, folder or dataset"):
         read_source("nothing", "hopper")
+    with pytest.raises(
+        DatasetError, match="is a D4RL HDF5 file whose arrays have names: leave out --columns"
+    ):
+        import_dataset(str(tmp_path / "h.hdf5"), BASE, "t", columns="observation,action,done")
     assert run(["import", "mujoco/hopper/x-v0", "--variant", "hopper-base", "--tier", "t"]) == 2
     assert "minari download mujoco/hopper/x-v0" in capsys.readouterr().err
     assert run(["import", "x", "--variant", "hopper-bas", "--tier", "t"]) == 2

@@ -13,7 +13,7 @@ import numpy as np
 import original_archive
 import pytest
 
-from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError
+from imujoco_minari.errors import DatasetError, DatasetNotFoundError, ImujocoError, VariantError
 from imujoco_minari.importing import safe_unpack
 from imujoco_minari.importing.archive import open_archive
 from imujoco_minari.importing.originals import Import, import_archive, recollect
@@ -200,5 +200,10 @@ def test_what_is_not_there_is_named(tmp_path: Path) -> None:
         open_archive(tmp_path / "none")
     with pytest.raises(DatasetNotFoundError, match="holds no part of the archive; valid: the folders xml"):
         open_archive(tmp_path)
+    (tmp_path / "xml").mkdir()
+    (tmp_path / "xml" / "hopper-gravityinc_20_world.xml").touch()
+    message = "has no variant of the original's four categories; it has xml/hopper-gravityinc_20_world.xml"
+    with pytest.raises(VariantError, match=message):
+        open_archive(tmp_path).select([], None, None)
     with pytest.raises(ImujocoError, match="no file at"):
         safe_unpack.read_npz(tmp_path / "none.npz")
