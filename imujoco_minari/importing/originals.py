@@ -48,7 +48,7 @@ class Import:
 
     Attributes:
         columns: the columns of its tables, where the user states them.
-        recollect: roll the archive's policies out instead of importing its episodes.
+        recollect: whether :func:`import_archive` rolls the policies out instead of importing the episodes.
         episodes: how many episodes to roll out, with ``seed`` as base seed.
         force: replace datasets that have the ids.
     """
@@ -59,20 +59,15 @@ class Import:
     seed: int = 0
     force: bool = False
 
-    @property
-    def tier(self) -> str:
-        """The tier under which the data are published."""
-        return RECOLLECTED if self.recollect else EXPERT
-
 
 def import_archive(archive: Archive, variants: Iterable[OriginalVariant], how: Import) -> Iterator[Published]:
     """Publish variants of an archive and yield each outcome as it comes, failures included."""
+    act, tier = (recollect, RECOLLECTED) if how.recollect else (import_variant, EXPERT)
     for variant in variants:
-        dataset_id = variant.dataset_id(how.tier)
         try:
-            yield (recollect if how.recollect else import_variant)(archive, variant, how)
+            yield act(archive, variant, how)
         except ImujocoError as error:
-            yield Published.failed(dataset_id, error)
+            yield Published.failed(variant.dataset_id(tier), error)
 
 
 def import_variant(archive: Archive, variant: OriginalVariant, how: Import) -> Published:
@@ -81,7 +76,7 @@ def import_variant(archive: Archive, variant: OriginalVariant, how: Import) -> P
     Raises:
         ImujocoError: when a file is missing or is not what it must be, or the root cannot be written.
     """
-    member, dataset_id = archive.member(variant, "dataset"), variant.dataset_id(how.tier)
+    member, dataset_id = archive.member(variant, "dataset"), variant.dataset_id(EXPERT)
     with member.on_disk() as path:
         origin = {"source": f"dataset/{member.name}", "source_sha256": file_format.file_sha256(path)}
         if published := find_published(dataset_id, origin, force=how.force):
@@ -110,7 +105,7 @@ def import_variant(archive: Archive, variant: OriginalVariant, how: Import) -> P
             "source_checks": [str(check) for check in checks],
             "one_step_difference": vars(found.fidelity()),
         }
-        attributes = file_format.attributes(variant, how.tier) | {CATALOGUE: ORIGINAL}
+        attributes = file_format.attributes(variant, EXPERT) | {CATALOGUE: ORIGINAL}
         attributes[file_format.REPLAYABLE] = False
         dataset = NewDataset(dataset_id, attributes, mjcf, metadata)
         return publish_episodes(dataset, spec, found.episodes(), force=how.force)
@@ -122,7 +117,7 @@ def recollect(archive: Archive, variant: OriginalVariant, how: Import) -> Publis
     Raises:
         ImujocoError: when a file is missing or is not what it must be, or the root cannot be written.
     """
-    member, dataset_id = archive.member(variant, "policies"), variant.dataset_id(how.tier)
+    member, dataset_id = archive.member(variant, "policies"), variant.dataset_id(RECOLLECTED)
     with member.on_disk() as path:
         origin = {
             "source": f"policies/{member.name}",
@@ -148,7 +143,7 @@ def recollect(archive: Archive, variant: OriginalVariant, how: Import) -> Publis
         "policy_sha256": policy.sha256,
         "policy_deterministic": policy.deterministic,
     }
-    attributes = file_format.attributes(variant, how.tier) | {CATALOGUE: ORIGINAL}
+    attributes = file_format.attributes(variant, RECOLLECTED) | {CATALOGUE: ORIGINAL}
     dataset = NewDataset(dataset_id, attributes, mjcf, metadata)
 
     def write(data: Path) -> None:

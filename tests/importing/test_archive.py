@@ -115,7 +115,7 @@ def test_the_environment_of_an_original_is_recovered_without_the_archive(place: 
 
 
 def test_recollected_data_replay_bit_for_bit(place: Path) -> None:
-    how = Import(recollect=True, episodes=2, seed=3)
+    how = Import(episodes=2, seed=3)
     published = recollect(open_archive(place), OriginalVariant.parse(HOPPER), how)
     assert published.dataset_id == f"imujoco-original/{HOPPER}-recollected-v0"
     assert verify(published.dataset_id) == []
@@ -149,7 +149,7 @@ def as_before(dataset_id: str) -> None:
 def test_datasets_of_earlier_versions_load_verify_combine_and_replay(tmp_path: Path) -> None:
     names = (HOPPER, "hopper-massinc_200_torsogeom")
     archive = open_archive(original_archive.write_archive(tmp_path / "archive", names, 2))
-    how = Import(recollect=True, episodes=2)
+    how = Import(episodes=2)
     ids = [recollect(archive, variant, how).dataset_id for variant in archive.variants]
     as_before(ids[0])
     assert verify(ids[0]) == []
@@ -192,7 +192,7 @@ def test_a_variant_of_ours_takes_no_text_of_a_model(root: Path) -> None:
 )
 def test_verify_ends_whatever_the_stored_model_is(place: Path, change: str, message: str) -> None:
     """The dataset is consistent: its model is hostile, and all digests are right."""
-    how = Import(recollect=True, episodes=1)
+    how = Import(episodes=1)
     dataset_id = recollect(open_archive(place), OriginalVariant.parse(HOPPER), how).dataset_id
     data = minari_root.dataset_folder(dataset_id) / "data"
     found = json.loads((data / "metadata.json").read_text())
@@ -229,7 +229,7 @@ def test_what_is_there_is_left_alone_unless_forced(
     place: Path, act: Callable[..., Published], reader: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     archive, variant = open_archive(place), OriginalVariant.parse(HOPPER)
-    how = Import(recollect=act is recollect, episodes=1)
+    how = Import(episodes=1)
     first = act(archive, variant, how)
     with monkeypatch.context() as patch:
         # What is there is found by the file's digest, and nothing else is done.
@@ -256,7 +256,7 @@ def test_originals_combine_with_each_other_and_not_with_ours(tmp_path: Path) -> 
     names = (HOPPER, "hopper-massinc_200_torsogeom")
     archive = open_archive(original_archive.write_archive(tmp_path / "archive", names, 2))
     ids = [outcome.dataset_id for outcome in import_archive(archive, archive.variants, Import())]
-    ids += [recollect(archive, archive.variants[0], Import(recollect=True, episodes=2)).dataset_id]
+    ids += [recollect(archive, archive.variants[0], Import(episodes=2)).dataset_id]
     collection = combine_datasets(ids, "imujoco-original/hopper-some-v0")
     assert collection.total_episodes == 6
     assert verify("imujoco-original/hopper-some-v0") == []
