@@ -62,6 +62,8 @@ def dataset_card(data: Path, remote: str) -> str:
         episodes = [file[name].attrs for name in file]
         returns = np.array([float(attrs["rewards_sum"]) for attrs in episodes])
         lengths = np.array([int(attrs["total_steps"]) for attrs in episodes])
+        # The metadata of a collection do not state this.
+        replayable = all(bool(attrs.get(REPLAYABLE, True)) for attrs in episodes)
     tags = [str(metadata[key]) for key in ("robot", "category", "tier") if metadata.get(key)]
     parts = [
         front_matter(dataset_id, _license_name(metadata), int(metadata["total_steps"]), tags),
@@ -69,7 +71,7 @@ def dataset_card(data: Path, remote: str) -> str:
         *_change_section(dataset_id),
         "## Numbers\n\n" + _markdown_table(("", ""), _number_rows(metadata, returns, lengths)),
         "## How to load it\n\n" + _loading_instructions(dataset_id, remote),
-        "## How it was made\n\n" + _provenance_section(metadata),
+        "## How it was made\n\n" + _provenance_section(metadata, replayable=replayable),
         _origin_section([metadata]),
     ]
     return "\n".join(parts)
@@ -142,7 +144,7 @@ def _loading_instructions(dataset_id: str, remote: str) -> str:
     )
 
 
-def _provenance_section(metadata: Mapping[str, Any]) -> str:
+def _provenance_section(metadata: Mapping[str, Any], *, replayable: bool) -> str:
     rows = [("package", str(metadata.get("code_permalink", "unknown")))]
     for name, number in sorted(metadata.get("versions", {}).items()):
         rows.append((f"version of {name}", str(number)))
@@ -154,7 +156,7 @@ def _provenance_section(metadata: Mapping[str, Any]) -> str:
         "Every episode has its own recorded seed, so seeds and actions replay the whole dataset. "
         "`imujoco verify` replays it and compares every bit.\n"
     )
-    return block + _markdown_table(("", ""), rows) + (replay if metadata.get(REPLAYABLE, True) else "")
+    return block + _markdown_table(("", ""), rows) + (replay if replayable else "")
 
 
 def _reproducing_command(metadata: Mapping[str, Any]) -> str:

@@ -303,6 +303,17 @@ def test_others_data_is_not_licensed_by_us(published: Path, tmp_path: Path, stat
     assert ("not from its archive" in text) == (stated["author"] == ["imujoco_minari"])
 
 
+def test_a_card_promises_no_replay_of_a_collection_with_imported_episodes(
+    published: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(published / BASE / "data", tmp_path / "data")
+    promise = "seeds and actions replay the whole dataset"
+    assert promise in card.dataset_card(tmp_path / "data", REMOTE)
+    with h5py.File(tmp_path / "data" / MAIN_FILE, "a") as file:
+        file["episode_1"].attrs["replayable"] = False
+    assert promise not in card.dataset_card(tmp_path / "data", REMOTE)
+
+
 @pytest.mark.parametrize(
     ("dataset_id", "stated", "command"),
     [
