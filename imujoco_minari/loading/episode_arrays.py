@@ -70,7 +70,8 @@ class Arrays:
         truncations: (N,) bool; the episode was cut here.
         variant_index: (N,) int32; the row of ``table`` for each step.
         episode_starts: (E,) int64; the first row of each episode.
-        table: variant, robot, category, body, percent and tier, one row for each combination that occurs.
+        table: variant, robot, category, body, percent, tier and changes, one row for each combination that
+            occurs.
         statistics: the statistics that normalised the observations; None if they are not normalised.
     """
 

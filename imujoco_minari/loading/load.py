@@ -39,7 +39,7 @@ def arrays(
         datasets: a Minari dataset or its id, or a list of them. Collections and filtered views are valid.
         where: keep only episodes with these attributes, as in
             ``{"category": "mass", "percent": [-50, -25]}``. The keys are variant, robot, category, body,
-            percent and tier.
+            percent, tier and changes.
         portion: keep this share of each variant's and tier's episodes, after a shuffle by ``seed``:
             (0, 0.75) to train, (0.75, 1) to test.
         seed: of that shuffle.

@@ -139,7 +139,7 @@ _REASONS: Mapping[int, str] = {
     401: "the token is missing or not accepted",
     403: "the token does not allow this",
     412: "another push wrote at the same time; push again",
-    429: "too many requests; wait and push again, complete files are skipped",
+    429: "too many requests; wait and run the command again, it skips what is complete",
 }
 
 

@@ -419,7 +419,7 @@ def test_without_a_remote_the_command_says_how_to_name_one(capsys: pytest.Captur
         (404, "hf://user", "no such user"),
         (401, "hf://user", "the token is missing or not accepted"),
         (403, "gcp://bucket", "the token does not allow this"),
-        (429, "hf://user", "wait and push again"),
+        (429, "hf://user", "wait and run the command again"),
         (500, "hf://user", "OSError: server"),
     ],
 )
