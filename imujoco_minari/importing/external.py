@@ -176,7 +176,10 @@ def _minari(folder: Path, robot: str) -> ExternalData:
     data = folder / "data" if (folder / "data").is_dir() else folder
     path = file_format.main_file(data)
     if not path.is_file():
-        raise DatasetError(f"{folder}: holds no Minari dataset in HDF5, no {file_format.MAIN_FILE}")
+        raise DatasetError(
+            f"{folder}: holds no Minari dataset in HDF5, no {file_format.MAIN_FILE}; "
+            "`imujoco import-archive` reads the original's archive"
+        )
     metadata = read_metadata(data)
     parts, allowance = [], Allowance()
     with _opened(path) as file:

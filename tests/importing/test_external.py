@@ -216,7 +216,7 @@ def test_what_cannot_be_imported_is_named(tmp_path: Path, capsys: pytest.Capture
     (tmp_path / "x.txt").write_text("x")
     with pytest.raises(DatasetError, match=r"neither \.npz nor HDF5"):
         read_source(str(tmp_path / "x.txt"), "hopper")
-    with pytest.raises(DatasetError, match="holds no Minari dataset"):
+    with pytest.raises(DatasetError, match=r"holds no Minari dataset .*import-archive"):
         read_source(str(tmp_path), "hopper")
     with pytest.raises(DatasetNotFoundError, match="no such file, folder or dataset"):
         read_source("nothing", "hopper")
