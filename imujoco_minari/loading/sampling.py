@@ -112,7 +112,7 @@ class Sampler:
             DatasetError: when the variant has too few episodes.
         """
         whole_number(tot_shots, "tot_shots", least=1)
-        place = self._drawn_place() if idx is None else self._place(idx)
+        place = self._place(idx)
         episodes, variant = self._episodes[place], self.arrays.table[place].variant
         if not len(episodes) or (tot_shots > len(episodes) and not replace):
             raise DatasetError(
@@ -133,12 +133,11 @@ class Sampler:
         observations, actions, mask = drawn
         return Shots(observations, actions, mask, variant)
 
-    def _drawn_place(self) -> int:
-        # A small portion may have no episode of a variant.
-        present = [place for place, episodes in enumerate(self._episodes) if len(episodes)]
-        return present[self._rng.integers(len(present))]
-
-    def _place(self, idx: int | str) -> int:
+    def _place(self, idx: int | str | None) -> int:
+        if idx is None:
+            # A small portion may have no episode of a variant.
+            present = [place for place, episodes in enumerate(self._episodes) if len(episodes)]
+            return present[self._rng.integers(len(present))]
         names = [origin.variant for origin in self.arrays.table]
         if isinstance(idx, str) and idx in names:
             # Of several tiers, one is drawn.
