@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from imujoco_minari.errors import DatasetError, VariantError, clipped, suggestion, whole_number
+from imujoco_minari.errors import DatasetError, VariantError, clipped, listed, suggestion, whole_number
 from imujoco_minari.loading import selection
 from imujoco_minari.loading.batches import padded_rows
 from imujoco_minari.loading.episode_arrays import Arrays, check_arrays
@@ -146,7 +146,7 @@ class Sampler:
             return int(idx)
         raise VariantError(
             f"the sampler has no variant {clipped(repr(idx))}{suggestion(str(idx), names)}; "
-            f"valid: 0 to {len(self) - 1}, or {', '.join(names)}"
+            f"valid: 0 to {len(self) - 1}, or {listed(names, selection.SHOWN_VALUES)}"
         )
 
 

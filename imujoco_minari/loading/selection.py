@@ -20,6 +20,7 @@ from imujoco_minari.errors import (
     DatasetError,
     VariantError,
     clipped,
+    listed,
     suggestion,
     unknown,
     whole_number,
@@ -51,6 +52,8 @@ class Origin:
 
 
 ATTRIBUTES = tuple(field.name for field in fields(Origin))
+# The valid values that an error lists. More than a robot has listed variants; drawn variants are many more.
+SHOWN_VALUES = 100
 
 
 @dataclass(frozen=True)
@@ -173,7 +176,7 @@ def matching(found: Sequence[EpisodeReference], where: Mapping[str, Any]) -> lis
             near = suggestion(str(missing[0]), map(str, present))
             raise VariantError(
                 f"no episode has the {name} {missing[0]!r}{near}; "
-                f"valid: {', '.join(map(str, sorted(present)))}"
+                f"valid: {listed([str(value) for value in sorted(present)], SHOWN_VALUES)}"
             )
         chosen = [episode for episode in chosen if getattr(episode.origin, name) in values]
     if not chosen:

@@ -367,6 +367,16 @@ def test_an_argument_that_is_not_valid_is_named(
             Sampler(arrays(HOPPER), **argument)  # type: ignore[arg-type]
 
 
+def test_an_error_names_some_of_many_drawn_variants(
+    small_datasets: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(selection, "SHOWN_VALUES", 2)
+    with pytest.raises(VariantError, match=r"valid: -50, -25 and 1 more$"):
+        arrays(small_datasets, where={"percent": 7})
+    with pytest.raises(VariantError, match=r"or hopper-base, hopper-massdec_25_leggeom and 1 more$"):
+        Sampler(small_datasets).sample(1, idx="hopper")
+
+
 def test_an_empty_portion_is_refused(small_datasets: list[str]) -> None:
     with pytest.raises(DatasetError, match="no episode falls into"):
         arrays(LEGS, portion=(0.0, 0.1))
