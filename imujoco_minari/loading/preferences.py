@@ -97,8 +97,10 @@ def preference_pairs(
     variants = np.array([names.index(name) for name in names])[data.variant_index[starts]]
     rng = np.random.default_rng(whole_number(seed, "seed", least=0))
     present, segments = np.unique(variants, return_counts=True)
-    # In proportion to the number of segments of each variant.
-    counts = rng.multinomial(pairs, segments / segments.sum())
+    # In proportion to the number of segments of each variant. A single segment makes no pair: where each
+    # episode draws its variant, an episode of ``length`` steps is the only segment of its variant.
+    weights = segments * (segments > 1) if segments.max() > 1 else segments
+    counts = rng.multinomial(pairs, weights / weights.sum())
     drawn = [
         _draw(np.flatnonzero(variants == variant), scores, count, names[variant], rng)
         for variant, count in zip(present.tolist(), counts.tolist(), strict=True)

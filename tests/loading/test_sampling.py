@@ -364,6 +364,13 @@ def test_the_preferred_stretch_has_the_higher_return() -> None:
     assert set(chosen.first.variant_index.tolist()) == {0, 1}
 
 
+def test_a_variant_of_one_segment_is_in_no_pair() -> None:
+    chosen = preference_pairs(synthetic([4, 9], [BASE, LEG]), pairs=50, length=4)
+    assert set(chosen.first.variant_index.tolist()) == {1}
+    with pytest.raises(DatasetError, match="all segments of hopper-base have the same score"):
+        preference_pairs(synthetic([4, 4], [BASE, LEG]), pairs=50, length=4)
+
+
 def test_ranked_tiers_decide_whatever_the_return() -> None:
     data = synthetic([6] * 4, [BASE, RANDOM] * 2)
     chosen = preference_pairs(data, pairs=50, length=3, tiers=("random", "expert"))
