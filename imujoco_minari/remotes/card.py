@@ -148,7 +148,8 @@ def _provenance_section(metadata: Mapping[str, Any], *, replayable: bool) -> str
     rows = [("package", str(metadata.get("code_permalink", "unknown")))]
     for name, number in sorted(metadata.get("versions", {}).items()):
         rows.append((f"version of {name}", str(number)))
-    named = ("machine", "seed", "policy_sha256", "mjcf_sha256", "content_sha256")
+    policy = ("policy_sha256", "universal_sha256", "policy_told")
+    named = ("machine", "seed", *policy, "mjcf_sha256", "content_sha256")
     rows += [(key.replace("_", " "), f"`{metadata[key]}`") for key in named if key in metadata]
     command = _reproducing_command(metadata)
     block = f"```console\n$ {command}\n```\n\n" if command else ""

@@ -314,6 +314,15 @@ def test_a_card_promises_no_replay_of_a_collection_with_imported_episodes(
     assert promise not in card.dataset_card(tmp_path / "data", REMOTE)
 
 
+def test_a_card_names_the_universal_policy_of_a_folded_expert(published: Path, tmp_path: Path) -> None:
+    shutil.copytree(published / BASE / "data", tmp_path / "data")
+    told = {"policy_told": {"mass/leggeom": -25.0}, "universal_sha256": "0af1"}
+    edit_metadata(tmp_path / "data" / "metadata.json", **told)
+    text = card.dataset_card(tmp_path / "data", REMOTE)
+    assert "| universal sha256 | `0af1` |" in text
+    assert "| policy told | `{'mass/leggeom': -25.0}` |" in text
+
+
 @pytest.mark.parametrize(
     ("dataset_id", "stated", "command"),
     [
