@@ -16,14 +16,7 @@ from pathlib import Path
 
 from imujoco_minari.envs.external_mjcf import canonical_external_mjcf
 from imujoco_minari.envs.untrusted_mjcf import MAX_BYTES
-from imujoco_minari.errors import (
-    DatasetError,
-    DatasetNotFoundError,
-    StorageError,
-    VariantError,
-    listed,
-    suggestion,
-)
+from imujoco_minari.errors import DatasetError, DatasetNotFoundError, StorageError, VariantError, suggestion
 from imujoco_minari.importing.safe_unpack import open_zip, unpack
 from imujoco_minari.variants.original import PARTS, OriginalVariant, file_name
 
@@ -89,7 +82,7 @@ class Archive:
         ids = {str(variant): variant for variant in self.variants}
         no_variant = f"the archive at {self.place} has no variant"
         if not ids:
-            had = listed(self.ignored) or "no files"
+            had = ", ".join(self.ignored[:5]) or "no files"
             raise VariantError(f"{no_variant} of the original's four categories; it has {had}")
         for name in names:
             if name not in ids:
