@@ -33,8 +33,8 @@ is an interquartile mean over variants and seeds. Its 95 % bootstrap interval in
 read it to compare methods on these variants. The one in brackets is over variants and seeds: read it to judge
 how a method would score in other variants of the same kind."""
 _STATED = "[The benchmark](benchmark.md) defines every setting and says how to submit yours."
-_EARLIER = """Results on this page are of earlier experts than those that this version ships. They are being
-computed again. Until then, a score of 1 is the return of the earlier expert."""
+_EARLIER = """The results of these sections are of earlier experts than those that this version ships: {}. They
+are being computed again. Until then, a score of 1 in them is the return of the earlier expert."""
 _MADE = """`imujoco benchmark page` makes this page from the result lines, and `results.csv` beside it has
 every score."""
 _OTHERS = (
@@ -201,8 +201,9 @@ def results_page(results: Results, parts: Sequence[Section], findings: str = "")
         title, _, text = each.partition("\n")
         tables.append(folded(title.strip(), text))
     marked = _OTHERS if results.others else ""
-    stated = f"{_EARLIER} {_STATED}" if any(map(is_of_earlier_experts, results.all())) else _STATED
-    texts = ["# Results", stated, *first, head, _HOW, marked, *tables, _MADE]
+    earlier = [part.title for part in parts if any(map(is_of_earlier_experts, part.lines))]
+    stated = [_STATED, _EARLIER.format(", ".join(earlier)) if earlier else ""]
+    texts = ["# Results", *stated, *first, head, _HOW, marked, *tables, _MADE]
     return "\n\n".join(text.strip() for text in texts if text) + "\n"
 
 

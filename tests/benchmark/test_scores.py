@@ -200,8 +200,14 @@ def test_the_page_says_that_a_line_is_of_an_earlier_expert(kind: str) -> None:
     now = Results(FEW, OFF, ACROSS, REPRODUCED)
     first, *others = getattr(now, kind)
     before = replace(now, **{kind: [first | {"policies_sha256": "0"}, *others]})
-    says = ["earlier experts" in results_page(each, sections(each)) for each in (now, before)]
-    assert says == [False, True]
+    pages = [results_page(each, sections(each)) for each in (now, before)]
+    assert ["earlier experts" in page for page in pages] == [False, True]
+    title = {
+        "few_shot": "Few-shot imitation",
+        "offline": "Offline learning",
+        "across": "Learning across variants",
+    }
+    assert f"this version ships: {title[kind]}. They" in " ".join(pages[1].split())
 
 
 def test_a_line_with_equal_references_is_named_as_such() -> None:
