@@ -11,7 +11,7 @@ from typing import Any
 
 from imujoco_minari.errors import PolicyNotFoundError
 from imujoco_minari.policies.actors import Actor
-from imujoco_minari.policies.experts import find_policy_file, own_record, policy_files
+from imujoco_minari.policies.experts import expert_record, find_policy_file, policy_files
 from imujoco_minari.policies.files import read_actor
 from imujoco_minari.variants import Variant
 
@@ -88,7 +88,7 @@ def read_rung(variant: Variant, rung: Rung, *, deterministic: bool = True) -> Ac
     path = find_policy_file(name)
     if path is None:
         raise PolicyNotFoundError(f"the training record of {variant} names {name}, which is missing")
-    algorithm = own_record(variant).get("algorithm", "SAC")
+    algorithm = expert_record(variant)["algorithm"]
     return read_actor(path, deterministic=deterministic, algorithm=algorithm).for_robot(variant.robot)
 
 
