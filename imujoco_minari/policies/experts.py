@@ -27,28 +27,27 @@ from imujoco_minari.variants import Variant
 FOLDED = "universal policy"
 
 
-def expert_actor(variant: Variant, *, deterministic: bool = True) -> Actor:
+def expert_actor(variant: Variant, *, deterministic: bool = True, folder: Path | None = None) -> Actor:
     """Return the expert of a variant: its own, or else the folded one.
 
     Args:
         variant: the variant.
         deterministic: whether the actor takes the mode of its distribution, or a sample.
+        folder: searched in place of :func:`policies_folder`, before the package's.
 
     Raises:
         PolicyNotFoundError: if the variant has no expert of its own and its robot has no universal policy.
         PolicyError: if the files are damaged.
     """
-    record = own_record(variant)
+    record = expert_record(variant, folder)
     if not record:
-        universal = universal_policy(variant.robot)
-        if universal is None:
-            raise PolicyNotFoundError(
-                f"no expert policy exists for {variant}: train one with `imujoco train {variant}`, or give "
-                "one with --policy FILE; `imujoco policies` lists those that exist"
-            )
-        folded = universal.fold(variant)
-        return replace(folded, deterministic=deterministic, record=expert_record(variant))
-    path = find_policy_file(f"{variant}.safetensors")
+        raise PolicyNotFoundError(
+            f"no expert policy exists for {variant}: train one with `imujoco train {variant}`, or give "
+            "one with --policy FILE; `imujoco policies` lists those that exist"
+        )
+    if is_folded(record) and (universal := universal_policy(variant.robot, folder)):
+        return replace(universal.fold(variant), deterministic=deterministic, record=record)
+    path = find_policy_file(f"{variant}.safetensors", folder)
     if path is None:
         raise PolicyNotFoundError(f"{variant} has a training record, but {variant}.safetensors is missing")
     actor = read_actor(path, deterministic=deterministic, algorithm=record["algorithm"])

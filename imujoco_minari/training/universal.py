@@ -103,7 +103,8 @@ def lessons(robot: str, policies: Path, seed: int, trained: UniversalPolicy | No
     """
     base = Variant(robot)
     expert = own_record(base, policies)
-    own = {variant: expert_actor(variant) for variant in expert_variants(policies) if variant.robot == robot}
+    experts = (variant for variant in expert_variants(policies) if variant.robot == robot)
+    own = {variant: expert_actor(variant, folder=policies) for variant in experts}
     present = universal_policy(robot, policies)
     listed = [base, *catalogue(robot)]
     found = []

@@ -12,8 +12,9 @@ import pytest
 from imujoco_minari.policies import Actor, expert_actor, own_record, universal_policy
 from imujoco_minari.policies.experts import agent_file
 from imujoco_minari.policies.universal import FIRST_WEIGHT, UniversalPolicy
+from imujoco_minari.storage.files import write_json
 from imujoco_minari.training import starts, universal
-from imujoco_minari.training.agents import load_arrays
+from imujoco_minari.training.agents import load_arrays, save_arrays
 from imujoco_minari.training.critics import with_context
 from imujoco_minari.training.distilling import (
     Distilling,
@@ -76,17 +77,22 @@ def test_the_best_of_several_policies_teaches() -> None:
 def test_a_drawn_variant_is_taught_only_with_a_good_teacher(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    good = drawn_variant("hopper", 1)
+    good, mine = drawn_variant("hopper", 1), Variant.parse("hopper-massinc_37_torsogeom")
+    # A new expert is in the folder that --output names.
+    record = dict(own_record(BASE)) | {"variant": str(mine), "weights_sha256": silent().sha256}
+    write_json(tmp_path / f"{mine}.json", record)
+    save_arrays(tmp_path / f"{mine}.safetensors", silent().weights)
 
     def known(variant: Variant, candidates: list[Actor], expert: dict[str, Any]) -> Lesson:
         assert len(candidates) >= 2
+        assert (variant == mine) == (candidates[0].sha256 == silent().sha256)
         return Lesson(variant, candidates[0], 0.9 if variant == good else 0.3)
 
     monkeypatch.setattr(universal, "best_teacher", known)
     taught = [each.variant for each in universal.lessons("hopper", tmp_path, 0, None)]
     listed, targets = [BASE, *catalogue("hopper")], universal.measured_variants("hopper")
-    assert good not in targets
-    assert taught == [*targets, *listed, good]
+    assert not {good, mine} & set(targets)
+    assert taught == [*targets, mine, *listed, good]
 
 
 @pytest.mark.parametrize("robot", ["hopper", "halfcheetah", "walker2d", "ant"])
