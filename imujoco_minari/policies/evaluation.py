@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 
-from imujoco_minari.errors import VariantError
+from imujoco_minari.envs.registration import environment_spec
+from imujoco_minari.errors import ArgumentError, VariantError, whole_number
+from imujoco_minari.policies.actors import LANES
+from imujoco_minari.policies.adapters import batch_act, checked
 from imujoco_minari.policies.aggregates import bootstrap_interval, interquartile_mean
 from imujoco_minari.policies.doors import Array
-from imujoco_minari.policies.measuring import Episodes, measure
-from imujoco_minari.policies.references import normalized_score
+from imujoco_minari.policies.rollouts import episode_seed, roll_out_together
 from imujoco_minari.variants import Variant
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Evaluation(Episodes):
+class Evaluation:
     """The results of E episodes of a policy, with statistics and normalised scores.
 
     Attributes:
@@ -28,6 +32,12 @@ class Evaluation(Episodes):
         seed: base seed of the episodes.
         deterministic: whether the policy acted deterministically; None where the policy does not say.
     """
+
+    returns: Array
+    lengths: Array
+    variants: tuple[str, ...]
+    seed: int = 0
+    deterministic: bool | None = None
 
     def __repr__(self) -> str:
         low, high = self.return_interval
@@ -80,6 +90,19 @@ class Evaluation(Episodes):
         """Mean length of an episode, in steps."""
         return float(self.lengths.mean())
 
+    def asdict(self) -> dict[str, Any]:
+        """Return a summary of the returns for JSON, as records of policies and metadata hold it."""
+        return {
+            "episodes": self.episodes,
+            "seed": self.seed,
+            "deterministic": self.deterministic,
+            "return_mean": self.return_mean,
+            "return_std": self.return_std,
+            "return_min": self.return_min,
+            "return_max": self.return_max,
+            "length_mean": self.length_mean,
+        }
+
     @cached_property
     def scores(self) -> Array:
         """(E,) float64; the normalised scores: 0 for the random policy of the variant, 1 for its expert.
@@ -88,6 +111,9 @@ class Evaluation(Episodes):
             VariantError: when the environment is no variant.
             PolicyNotFoundError: when a variant has no expert.
         """
+        # Reference scores are evaluations too.
+        from imujoco_minari.policies.references import normalized_score
+
         if not all(self.variants):
             raise VariantError("the environment is no variant, so its returns have no reference scores")
         return normalized_score(self.variants, self.returns)
@@ -141,4 +167,46 @@ def evaluate(
         >>> evaluation.returns.shape, evaluation.score_mean  # doctest: +SKIP
         ((10,), 1.0)
     """
-    return Evaluation(**vars(measure(env, policy, episodes, seed, on_episode)))
+    whole_number(episodes, "episodes", least=1)
+    whole_number(seed, "seed", least=0)
+    act = batch_act(policy)
+    returns, lengths, variants = np.empty(episodes), np.empty(episodes, np.int64), [""] * episodes
+    seeds = [episode_seed(seed, number) for number in range(episodes)]
+    with _opened(env, min(LANES, episodes)) as envs:
+        act = checked(act, envs[0].action_space.shape or ())
+        for number, lane, total_reward, length in roll_out_together(envs, act, seeds):
+            returns[number], lengths[number] = total_reward, length
+            variants[number] = _variant_id(envs[lane])
+            if on_episode is not None:
+                on_episode()
+    deterministic = getattr(policy, "deterministic", None)
+    told = deterministic if isinstance(deterministic, bool) else None
+    return Evaluation(returns, lengths, tuple(variants), seed, told)
+
+
+@contextmanager
+def _opened(env: Any, lanes: int) -> Iterator[list[gym.Env[Any, Any]]]:
+    """Open environments to run side by side, or use the one that is given."""
+    if isinstance(env, gym.Env):
+        yield [env]
+        return
+    if not isinstance(env, Variant | str):
+        raise ArgumentError(
+            f"the environment is a variant, its id or a gymnasium.Env, not {type(env).__name__}; "
+            "the policy is the second argument"
+        )
+    spec = gym.registry[env] if env in gym.registry else environment_spec(env)
+    envs: list[gym.Env[Any, Any]] = []
+    try:
+        envs += (gym.make(spec, disable_env_checker=True) for _ in range(lanes))
+        yield envs
+    finally:
+        for each in envs:
+            each.close()
+
+
+def _variant_id(env: gym.Env[Any, Any]) -> str:
+    """Return the id of the variant of the present episode; empty where there are no reference scores."""
+    variant = getattr(env.unwrapped, "variant", None)
+    # A variant of the original archive has a class of its own, and other references.
+    return str(variant) if type(variant) is Variant else ""

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from imujoco_minari.errors import ArgumentError, PolicyNotFoundError, clipped
 from imujoco_minari.policies.actors import Actor, Policy
 from imujoco_minari.policies.doors import Array
+from imujoco_minari.policies.evaluation import evaluate
 from imujoco_minari.policies.experts import expert_actor, expert_record, is_folded, keep_measured
-from imujoco_minari.policies.measuring import measure
 from imujoco_minari.policies.rungs import (
     LADDER_EPISODES,
     LADDER_SEED,
@@ -181,4 +181,4 @@ def random_evaluation(variant: Variant) -> dict[str, Any]:
 
 
 def _evaluation(variant: Variant, policy: Policy, seed: int, episodes: int = EPISODES) -> dict[str, Any]:
-    return measure(variant, policy, episodes, seed).asdict()
+    return evaluate(variant, policy, episodes=episodes, seed=seed).asdict()

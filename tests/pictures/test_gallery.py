@@ -24,7 +24,7 @@ from imujoco_minari.pictures.gallery.pages import short, snippets, summary
 from imujoco_minari.pictures.rendering.scene import COLOURS
 from imujoco_minari.pictures.rendering.studio import Studio
 from imujoco_minari.policies import RandomPolicy, experts, policies_folder, references
-from imujoco_minari.policies.measuring import measure
+from imujoco_minari.policies.evaluation import evaluate
 from imujoco_minari.variants import Variant, catalogue
 
 # What the pages say follows from what a test publishes and trains, not from what is shipped today.
@@ -190,7 +190,7 @@ def test_an_expert_that_was_not_measured_yet_is_measured_for_its_page(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def two_episodes(variant: Variant, policy: Any, seed: int) -> dict[str, Any]:
-        return measure(variant, policy, 2, seed).asdict()
+        return evaluate(variant, policy, episodes=2, seed=seed).asdict()
 
     policies_folder().mkdir(parents=True)
     for ending in ("json", "safetensors"):

@@ -169,7 +169,7 @@ def test_a_folded_expert_has_a_ladder_that_is_measured_once(monkeypatch: pytest.
     (policy,) = (part.policy for part in parts(variant, "medium", 4, path=None, stochastic=False))
     assert policy.sha256 == read_rung(variant, medium_rung(rungs, expert_record(variant))).sha256
     assert policy.algorithm == expert_record(variant)["algorithm"] == "CrossQ"
-    monkeypatch.setattr(references, "measure", None)
+    monkeypatch.setattr(references, "evaluate", None)
     assert references.ladder(variant) == rungs
 
 

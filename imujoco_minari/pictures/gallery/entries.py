@@ -12,7 +12,7 @@ import numpy as np
 from imujoco_minari.envs.differences import Difference
 from imujoco_minari.errors import VariantError
 from imujoco_minari.policies import random_policy
-from imujoco_minari.policies.measuring import Episodes, measure
+from imujoco_minari.policies.evaluation import Evaluation, evaluate
 from imujoco_minari.policies.references import measured_record
 from imujoco_minari.policies.tiers import RANDOM
 from imujoco_minari.storage import file_format, minari_root
@@ -101,7 +101,7 @@ def scores(variant: Variant) -> tuple[Score, ...]:
     if "random" in record:
         found[RANDOM] = _score(RANDOM, "uniform actions", record["random"])
     elif RANDOM not in found:
-        outcome = measure(variant, random_policy(variant.robot), RANDOM_EPISODES, 0).asdict()
+        outcome = evaluate(variant, random_policy(variant.robot), episodes=RANDOM_EPISODES).asdict()
         found[RANDOM] = _score(RANDOM, "uniform actions", outcome, "measured for this page")
     return tuple(sorted(found.values(), key=lambda score: -score.return_mean))
 
@@ -140,4 +140,4 @@ def _score_from_dataset(data: Path, tier: str) -> Score:
         episodes = [file.episode_attributes(number, names) for number in file.numbers()]
     # A dataset without episodes has no columns, so this raises a ValueError.
     returns, lengths = np.array([[episode[name] for name in names] for episode in episodes], float).T
-    return _score(tier, algorithm, Episodes(returns, lengths, ()).asdict(), "the published dataset")
+    return _score(tier, algorithm, Evaluation(returns, lengths, ()).asdict(), "the published dataset")
