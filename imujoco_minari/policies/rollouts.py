@@ -13,7 +13,7 @@ import gymnasium as gym
 import numpy as np
 
 from imujoco_minari.policies.actors import Policy
-from imujoco_minari.policies.adapters import BatchAct
+from imujoco_minari.policies.adapters import BatchAct, batch_act
 
 
 class EndedEpisode(NamedTuple):
@@ -50,16 +50,8 @@ def roll_out(env: gym.Env[Any, Any], policy: Policy, seed: int) -> tuple[float, 
         policy: chooses the actions.
         seed: seed of the reset and of a random policy.
     """
-    rng = np.random.default_rng(seed)
-    act, step = policy.act, env.step
-    observation, _ = env.reset(seed=seed)
-    total, length, ended = 0.0, 0, False
-    while not ended:
-        observation, reward, terminated, truncated, _ = step(act(observation, rng))
-        total += float(reward)
-        length += 1
-        ended = terminated or truncated
-    return total, length
+    (ended,) = roll_out_together([env], batch_act(policy), [seed])
+    return ended.total_reward, ended.length
 
 
 def roll_out_together(

@@ -7,7 +7,7 @@ The idea is that of universal policies (Yu et al. 2017).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from math import fsum
@@ -127,25 +127,6 @@ class UniversalPolicy:
             FIRST_BIAS: bias.astype(np.float32),
         }
         return Actor(weights, self.algorithm, self.deterministic).for_robot(self.robot)
-
-
-class ToldPolicy:
-    """A universal policy that acts in one environment and is told the variant of each episode."""
-
-    def __init__(self, universal: UniversalPolicy) -> None:
-        self._universal = universal
-        self._folded = universal.fold(Variant(universal.robot))
-
-    def __repr__(self) -> str:
-        return f"ToldPolicy({self._universal!r})"
-
-    def tell(self, variant: Variant) -> None:
-        """Act in this variant from now on."""
-        self._folded = self._universal.fold(variant)
-
-    def act_together(self, observations: Array, rngs: Sequence[np.random.Generator]) -> Array:
-        """Return the actions, as :meth:`Actor.act_together` does."""
-        return self._folded.act_together(observations, rngs)
 
 
 def read_universal(weights: Path) -> UniversalPolicy:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from imujoco_minari.policies import LANES, Policy
 from imujoco_minari.policies.adapters import batch_act, checked
 from imujoco_minari.policies.rollouts import episode_seed, roll_out_together
-from imujoco_minari.policies.universal import ToldPolicy, UniversalPolicy
+from imujoco_minari.policies.universal import UniversalPolicy
 from imujoco_minari.storage.quiet_file import safe_point
 from imujoco_minari.storage.writer import Attributes, EpisodeWriter
 from imujoco_minari.variants import Variant
@@ -117,18 +117,20 @@ def collect(
     """
     seeds = [episode_seed(seed, episode) for episode in episodes]
     # A universal policy is told another variant in each episode, so one episode runs at a time.
-    told = ToldPolicy(policy) if isinstance(policy, UniversalPolicy) else None
+    universal = policy if isinstance(policy, UniversalPolicy) else None
     with EpisodeWriter(target, spec, attributes) as writer, ExitStack() as stack:
         collectors = [
             stack.enter_context(Collector(gym.make(spec), writer, on_episode))
-            for _ in range(1 if told else min(LANES, len(seeds)))
+            for _ in range(1 if universal else min(LANES, len(seeds)))
         ]
-        act = checked(batch_act(told or policy), writer.action_space.shape or ())
+        acting = batch_act(universal.fold(Variant(universal.robot)) if universal else policy)
+        act = checked(lambda seen, rngs: acting(seen, rngs), writer.action_space.shape or ())
 
         def begin(lane: int, number: int) -> None:
+            nonlocal acting
             collectors[lane].begin(number)
-            if told is not None:
-                told.tell(Variant.parse(attributes(seeds[number])["variant"]))
+            if universal:
+                acting = universal.fold(Variant.parse(attributes(seeds[number])["variant"])).act_together
 
         for _ in roll_out_together(collectors, act, seeds, begin):
             pass

@@ -43,7 +43,6 @@ from imujoco_minari.pictures.gallery import Built
 from imujoco_minari.pictures.rendering import Motion
 from imujoco_minari.policies import universal_policy
 from imujoco_minari.policies.transfer import Transfer
-from imujoco_minari.policies.universal import ToldPolicy
 from imujoco_minari.publishing.removal import Deleted
 from imujoco_minari.remotes import Pulled, Pushed
 from imujoco_minari.variants import Variant, held_out_names, known_robots, specification
@@ -132,7 +131,7 @@ def test_arrays_and_batches(small_datasets: list[str], tmp_path: Path) -> None:
 
 def test_policies_and_scores() -> None:
     policy, universal = load_policy("hopper-base"), universal_policy("hopper")
-    for shown in (policy, load_policy("hopper-base", tier="random"), universal, ToldPolicy(universal)):
+    for shown in (policy, load_policy("hopper-base", tier="random"), universal):
         assert_short(shown)
     result = evaluate("hopper-base", policy, episodes=2)
     matrix = {("hopper-base", variant): result for variant in catalogue("hopper")}
