@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -18,7 +18,6 @@ import numpy as np
 from imujoco_minari.policies import Actor, Array
 from imujoco_minari.policies.evaluation import evaluate
 from imujoco_minari.policies.rungs import share_of
-from imujoco_minari.policies.universal import FIRST_WEIGHT
 from imujoco_minari.training.agents import as_stored, import_jax
 from imujoco_minari.training.lanes import Lanes
 from imujoco_minari.training.updates import actor_outputs
@@ -139,14 +138,6 @@ def distil(
         say(f"round {number}: mean reward {reward:.3f}, teachers' {wanted.mean():.3f}, {minutes:.1f} min")
     lanes.close()
     return student.weights()
-
-
-def with_unused_context(actor: Actor, parameters: int) -> Actor:
-    """Return an actor of observation and context that acts as one of the observation alone."""
-    first = actor.weights[FIRST_WEIGHT]
-    zeros = np.zeros((len(first), parameters), first.dtype)
-    widened = {FIRST_WEIGHT: np.concatenate([first, zeros], axis=1)}
-    return replace(actor, weights=dict(actor.weights) | widened)
 
 
 class Student:

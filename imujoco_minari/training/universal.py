@@ -30,7 +30,6 @@ from imujoco_minari.storage.files import write_json
 from imujoco_minari.training.agents import (
     ALGORITHM,
     CRITICS,
-    actor_of,
     agent_actor,
     load_arrays,
     replace_actor,
@@ -38,13 +37,7 @@ from imujoco_minari.training.agents import (
 )
 from imujoco_minari.training.context_search import best_told
 from imujoco_minari.training.critics import with_context
-from imujoco_minari.training.distilling import (
-    Distilling,
-    Lesson,
-    best_teacher,
-    distil,
-    with_unused_context,
-)
+from imujoco_minari.training.distilling import Distilling, Lesson, best_teacher, distil
 from imujoco_minari.training.hyperparameters import UNIVERSAL, hyperparameters
 from imujoco_minari.training.run import OnInterval, Progress, Run, do_nothing, versions
 from imujoco_minari.training.selection import score, universal_of
@@ -217,12 +210,12 @@ def _task(robot: str, plan: Plan) -> Task:
     listed = (base, *catalogue(robot))
     contexts = np.array([whole_context(variant) for variant in listed], np.float32)
     agent = load_arrays(path)
-    actor = with_unused_context(actor_of(agent_actor(agent), robot), contexts.shape[1])
+    as_shipped = replace_actor(agent, agent_actor(agent))
     return Task(
         base,
         hyperparameters(robot, UNIVERSAL, **plan.changes),
         plan.seed,
-        Start(str(base), replace_actor(with_context(agent, contexts, robot), actor.weights)),
+        Start(str(base), with_context(as_shipped, contexts, robot)),
         over=Distribution(listed, expert, partial(drawn_variant, robot)),
     )
 

@@ -11,19 +11,14 @@ import pytest
 
 from imujoco_minari.policies import Actor, expert_actor, own_record, universal_policy
 from imujoco_minari.policies.experts import agent_file
-from imujoco_minari.policies.universal import FIRST_WEIGHT, UniversalPolicy
+from imujoco_minari.policies.universal import FIRST_WEIGHT
 from imujoco_minari.storage.files import write_json
 from imujoco_minari.training import starts, universal
-from imujoco_minari.training.agents import load_arrays, save_arrays
+from imujoco_minari.training.agents import agent_actor, load_arrays, save_arrays
 from imujoco_minari.training.critics import with_context
-from imujoco_minari.training.distilling import (
-    Distilling,
-    Lesson,
-    best_teacher,
-    distil,
-    with_unused_context,
-)
+from imujoco_minari.training.distilling import Distilling, Lesson, best_teacher, distil
 from imujoco_minari.training.run import Progress
+from imujoco_minari.training.selection import universal_of
 from imujoco_minari.training.starts import best_start
 from imujoco_minari.training.task import Plan, Task
 from imujoco_minari.training.universal import drawn_variant, train_universal
@@ -50,14 +45,16 @@ def silent() -> Actor:
 
 def test_the_student_is_told_its_variant_and_acts_as_its_teacher() -> None:
     lessons, lines = [lesson(BASE), Lesson(HEAVY, silent(), 0.1)], []
-    start = with_unused_context(expert_actor(BASE), len(parameters("hopper")))
+    path = agent_file(BASE)
+    assert path is not None
+    count, rng = len(parameters("hopper")), np.random.default_rng(0)
+    agent = with_context(load_arrays(path), np.zeros((1, count)), "hopper")
+    start = universal_of(agent_actor(agent), "hopper").actor
     weights = distil(lessons, start, SMALL, lines.append)
     assert [line[:8] for line in lines] == ["round 1:", "round 2:"]
     once, again = (distil(lessons, start, QUICK) for _ in range(2))
     assert all(np.array_equal(array, once[name]) for name, array in again.items())
-    count, rng = len(parameters("hopper")), np.random.default_rng(0)
-    floats = {name: array.astype(np.float32) for name, array in weights.items()}
-    student = UniversalPolicy("hopper", Actor(floats), np.full(count, -1.0), np.full(count, 2.0), {})
+    student = universal_of(weights, "hopper")
     seen = np.array([[1.25, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]]) + 0.005 * rng.standard_normal((50, 11))
     in_base, in_heavy = (student.fold(each).act(seen, rng) for each in (BASE, HEAVY))
     assert np.abs(in_base - expert_actor(BASE).act(seen, rng)).mean() < 0.1
@@ -122,9 +119,6 @@ def test_the_critics_of_the_base_ignore_the_context_at_first() -> None:
     assert not arrays[kernel][:, 11:13].any()
     assert arrays["qf/batch_stats/VmapCritic_0/BatchRenorm_0/mean"][0, 11:13].tolist() == [0.5, 0.5]
     assert (arrays["qf/params/VmapCritic_0/BatchRenorm_0/scale"][:, 11:13] == 1).all()
-    # Critics that are told already stay as they are.
-    again = with_context(arrays, contexts, "hopper")
-    assert all(np.array_equal(array, arrays[name]) for name, array in again.items())
 
 
 def test_a_universal_policy_is_trained_killed_resumed_and_installed(
