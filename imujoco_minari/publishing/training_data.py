@@ -128,7 +128,7 @@ def _dataset_metadata(task: Task, progress: Progress) -> dict[str, Any]:
             algorithm=ALGORITHM,
             description=(
                 f"iMuJoCo, rebuilt: the transitions of a training run of {ALGORITHM} on {task.variant}, "
-                f"{progress.steps} steps from {task.start}{end}, in the order of the run. "
+                f"{progress.steps} steps from {task.start.name}{end}, in the order of the run. "
                 "Episodes that an evaluation cut short are left out."
             ),
         ),

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from imujoco_minari.policies import find_policy_file, own_record, read_actor, universal_policy
+from imujoco_minari.policies import Actor, find_policy_file, own_record, read_actor, universal_policy
 from imujoco_minari.policies.evaluation import evaluate
 from imujoco_minari.policies.rungs import LADDER_SEED, return_at, rung_file
 from imujoco_minari.storage.files import write_json
-from imujoco_minari.training.agents import actor_of, load_arrays, save_arrays
+from imujoco_minari.training.agents import actor_of, agent_actor, load_arrays, save_arrays
+from imujoco_minari.training.run import Run
 from imujoco_minari.training.selection import CHOOSING_SEED, score
 from imujoco_minari.variants import BASE, Variant
 
@@ -31,57 +32,45 @@ _HISTORY_KEYS = (
 )
 
 
-def own_score(variant: Variant, policies: Path, episodes: int) -> float:
-    """Return the score of a variant's own expert on the episodes that select actors; -inf without one."""
-    path = find_policy_file(f"{variant}.safetensors", policies)
-    if path is None or not own_record(variant, policies):
-        return float("-inf")
-    return _score(variant, read_actor(path).for_robot(variant.robot), episodes)
+def present_scores(variant: Variant, policies: Path, episodes: int) -> tuple[float, float]:
+    """Return the scores of a variant's own and of its folded expert on the episodes that select actors.
 
-
-def folded_score(variant: Variant, policies: Path, episodes: int) -> float:
-    """Return the score of a variant's folded expert on the episodes that select actors.
-
-    It is -inf for a base, which needs an expert of its own, and for a robot without a universal policy.
+    The score of one that does not exist is -inf. A base needs an expert of its own, so it has no folded one.
     """
-    universal = universal_policy(variant.robot, policies)
-    if universal is None or variant.category == BASE:
-        return float("-inf")
-    return _score(variant, universal.fold(variant), episodes)
+    path = find_policy_file(f"{variant}.safetensors", policies)
+    universal = None if variant.category == BASE else universal_policy(variant.robot, policies)
+    own = read_actor(path).for_robot(variant.robot) if path and own_record(variant, policies) else None
+
+    def score_of(actor: Actor | None) -> float:
+        if actor is None:
+            return float("-inf")
+        return score(evaluate(variant, actor, episodes=episodes, seed=CHOOSING_SEED).asdict())
+
+    return score_of(own), score_of(universal.fold(variant) if universal else None)
 
 
-def install(
-    variant: Variant, folder: Path, record: dict[str, Any], evaluations: Sequence[Any], policies: Path
-) -> dict[str, Any]:
+def install(run: Run, record: dict[str, Any], policies: Path) -> dict[str, Any]:
     """Copy the policy of a finished run to the policies folder and return its complete record.
 
     A base gets its agent and its ladder too. An improved base keeps its first ladder, because the returns of
     further training do not rise step by step.
-
-    Args:
-        variant: the variant.
-        folder: state folder of the run.
-        record: the run's record.
-        evaluations: the run's evaluations, for the ladder.
-        policies: the folder to install it in.
     """
+    variant, agent = run.task.variant, run.best_agent()
     before = own_record(variant, policies)
     if before:
         record = record | {"before": {key: before.get(key) for key in _HISTORY_KEYS}}
     if variant.category == BASE:
-        save_arrays(policies / f"{variant}.agent.safetensors", load_arrays(folder / "best-agent.safetensors"))
-        ladder = before.get("ladder")
-        record = record | {"ladder": ladder or _base_ladder(variant, folder, record, evaluations, policies)}
-    save_arrays(policies / f"{variant}.safetensors", load_arrays(folder / "best.safetensors"))
+        save_arrays(policies / f"{variant}.agent.safetensors", agent)
+        record = record | {"ladder": before.get("ladder") or _base_ladder(run, record, policies)}
+    save_arrays(policies / f"{variant}.safetensors", agent_actor(agent))
     # The record is written last. Its presence means that the policy is complete.
     write_json(policies / f"{variant}.json", record)
     return record
 
 
-def _base_ladder(
-    base: Variant, folder: Path, record: Mapping[str, Any], evaluations: Sequence[Any], policies: Path
-) -> list[Mapping[str, Any]]:
+def _base_ladder(run: Run, record: Mapping[str, Any], policies: Path) -> list[Mapping[str, Any]]:
     """Save the checkpoint nearest to each of the shares as a rung, and return the ladder."""
+    base, evaluations = run.task.variant, run.progress.evaluations
 
     def nearest(share: float) -> int:
         wanted = return_at(share, record)
@@ -89,13 +78,9 @@ def _base_ladder(
 
     ladder: list[Mapping[str, Any]] = []
     for steps in sorted({nearest(share) for share in RUNG_SHARES}):
-        arrays = load_arrays(folder / "ladder" / f"{steps}.safetensors")
+        arrays = load_arrays(run.folder / "ladder" / f"{steps}.safetensors")
         save_arrays(policies / rung_file(base, steps), arrays)
         actor = actor_of(arrays, base.robot)
         measured = evaluate(base, actor, episodes=RUNG_EPISODES, seed=LADDER_SEED).asdict()
         ladder.append({"steps": steps, "evaluation": measured})
     return ladder
-
-
-def _score(variant: Variant, actor: Any, episodes: int) -> float:
-    return score(evaluate(variant, actor, episodes=episodes, seed=CHOOSING_SEED).asdict())

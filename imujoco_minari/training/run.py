@@ -49,7 +49,7 @@ from imujoco_minari.variants import BASE, Variant, specification
 _AVERAGED_CALLS = 50
 # A policy delay that no number of updates reaches: only the critics learn.
 _NEVER = 10**9
-_CHECKPOINT_NAME = "checkpoint.safetensors"
+_CHECKPOINT_NAME, _BEST_NAME = "checkpoint.safetensors", "best-agent.safetensors"
 
 
 @dataclass
@@ -143,6 +143,10 @@ class Run:
         """Whether the run has reached its target or its last step."""
         reached = self.progress.best_score >= self.task.target
         return reached or self.progress.steps >= self.task.settings.max_steps
+
+    def best_agent(self) -> dict[str, Array]:
+        """Return the best actor and the critics of its time, as arrays of an agent."""
+        return load_arrays(self.folder / _BEST_NAME)
 
     def close(self) -> None:
         """Close the environments."""
@@ -242,10 +246,9 @@ class Run:
                 entry["best"] = kind
                 progress.best, progress.best_score = found.summary, found.score
                 progress.best_steps = progress.steps
-                save_arrays(self.folder / "best.safetensors", arrays)
                 agent = replace_actor(agent_arrays(self._agent), arrays)
                 starting = {name: array for name, array in agent.items() if name.startswith(STARTING)}
-                save_arrays(self.folder / "best-agent.safetensors", starting)
+                save_arrays(self.folder / _BEST_NAME, starting)
         if task.over is None and task.variant.category == BASE:
             save_arrays(self.folder / "ladder" / f"{progress.steps}.safetensors", candidates["present"])
         progress.wall_seconds += time.monotonic() - begin
@@ -276,7 +279,7 @@ class Run:
     def make_record(self) -> dict[str, Any]:
         """Evaluate the best actor of one variant on seeds that did not select it; return its record."""
         task, progress = self.task, self.progress
-        arrays = load_arrays(self.folder / "best.safetensors")
+        arrays = agent_actor(self.best_agent())
         confirmed = look(task, arrays, task.settings.confirming_episodes, CONFIRMING_SEED).summary
         return {
             "variant": str(task.variant),

@@ -22,7 +22,7 @@ from imujoco_minari.policies import expert_record, own_record
 from imujoco_minari.policies.rungs import return_at
 from imujoco_minari.storage.files import try_lock, write_json
 from imujoco_minari.training.hyperparameters import IMPROVE, NEAR, SCRATCH, WARM, hyperparameters
-from imujoco_minari.training.installing import folded_score, install, own_score
+from imujoco_minari.training.installing import install, present_scores
 from imujoco_minari.training.run import OnInterval, Run, do_nothing
 from imujoco_minari.training.starts import best_start
 from imujoco_minari.training.task import Plan, Task
@@ -95,13 +95,11 @@ def train(
             run.train(on_interval)
             record, reached = run.make_record(), run.progress.best_score
         # The episodes of the records' evaluations select nothing, so those of the selection compare.
-        episodes = record["selection"]["episodes"]
-        rivals = (each(variant, plan.policies, episodes) for each in (own_score, folded_score))
-        kept_score = max(rivals)
+        kept_score = max(present_scores(variant, plan.policies, record["selection"]["episodes"]))
         better = reached > kept_score
         # A start that was told this variant and not trained further is the folded policy itself.
         if better and not (record["start_told"] == str(variant) and record["steps"] == 0):
-            installed = install(variant, folder, record, run.progress.evaluations, plan.policies)
+            installed = install(run, record, plan.policies)
             outcome = Trained(variant, installed, created=True)
         else:
             outcome = Trained(variant, present, tried=record | {"score": reached, "kept_score": kept_score})

@@ -96,9 +96,6 @@ class Start:
     told: str = ""
     score: float = float("-inf")
 
-    def __str__(self) -> str:
-        return self.name
-
 
 @dataclass(frozen=True)
 class Task:

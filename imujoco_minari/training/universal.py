@@ -155,8 +155,8 @@ def train_universal(
         if task.settings.max_steps:
             with closing(Run(task, folder / "run", device=plan.device)) as run:
                 run.train(on_interval)
-            progress, agent = run.progress, load_arrays(folder / "run" / "best-agent.safetensors")
-            trained = universal_of(load_arrays(folder / "run" / "best.safetensors"), robot)
+            progress, agent = run.progress, run.best_agent()
+            trained = universal_of(agent_actor(agent), robot)
         begin = time.monotonic()
         say(f"choosing teachers for {robot}")
         taught = lessons(robot, plan.policies, plan.seed, trained)

@@ -74,7 +74,7 @@ def test_the_better_of_own_and_folded_is_the_expert(
     better: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     unlisted = Variant.parse("hopper-massdec_26_leggeom")
-    monkeypatch.setattr(sweep, "folded_score", lambda *_: -1e9 if better else 1e9)
+    monkeypatch.setattr(sweep, "present_scores", lambda *_: (-1e9, -1e9 if better else 1e9))
     start = replace(sweep.best_start(unlisted, tmp_path, 0), told=str(LIGHT_LEG))
     monkeypatch.setattr(sweep, "best_start", lambda *_: start)
     plan = Plan(tmp_path / "state", changes=TINY, target=1e9)
@@ -98,7 +98,7 @@ def test_a_start_from_the_universal_policy_is_an_expert_of_its_own_if_it_was_tol
     told = str(LIGHT_LEG if other else unlisted)
     start = replace(sweep.best_start(unlisted, tmp_path, 0), name=FOLDED, told=told)
     monkeypatch.setattr(sweep, "best_start", lambda *_: start)
-    monkeypatch.setattr(sweep, "folded_score", lambda *_: -1e9)
+    monkeypatch.setattr(sweep, "present_scores", lambda *_: (-1e9, -1e9))
     (outcome,) = train_all([unlisted], Plan(tmp_path / "state", changes=TINY, target=-1e9))
     assert (outcome.created, outcome.error) == (other, "")
     record = outcome.record if other else outcome.tried
@@ -251,8 +251,7 @@ def test_the_averaged_weights_are_another_candidate(tmp_path: Path, monkeypatch:
     )
     run.train_interval()
     assert run.progress.evaluations[-1]["best"] == "average"
-    assert not any(array.any() for array in load_arrays(tmp_path / "best.safetensors").values())
-    assert not agent_actor(load_arrays(tmp_path / "best-agent.safetensors"))[name].any()
+    assert not any(array.any() for array in agent_actor(run.best_agent()).values())
     run.close()
 
 
