@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from imujoco_minari.policies import Actor, universal_policy
-from imujoco_minari.policies.evaluation import Evaluation, evaluate
-from imujoco_minari.policies.experts import FOLDED
-from imujoco_minari.training import context_search, starts
-from imujoco_minari.training.context_search import SEARCHED, best_told, search_contexts
-from imujoco_minari.training.starts import best_start
+from imujoco_minari.policies import universal_policy
+from imujoco_minari.policies.evaluation import evaluate
+from imujoco_minari.training import context_search
+from imujoco_minari.training.context_search import best_told, search_contexts
 from imujoco_minari.variants import Variant
 
 HEAVY = Variant.parse("hopper-massinc_100_torsogeom")
@@ -51,20 +47,3 @@ def test_a_search_finds_what_a_bad_context_lacks(short: None) -> None:
     assert after > before
     again = search_contexts(policy, HEAVY, bad, 4)
     np.testing.assert_array_equal(again[0], first)
-
-
-def test_a_searched_context_is_a_start(short: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("sbx")
-    policy = universal_policy("hopper")
-    assert policy is not None
-    asked = policy.context(HEAVY) + 0.01
-    monkeypatch.setattr(starts, "search_contexts", lambda *_: [asked])
-    sought = policy.fold_context(asked).weights["latent_pi.0.bias"].astype(np.float16)
-
-    def evaluated(variant: Variant, actor: Actor, *, episodes: int, seed: int) -> Evaluation:
-        is_sought = np.array_equal(actor.weights["latent_pi.0.bias"].astype(np.float16), sought)
-        return Evaluation(np.full(episodes, float(is_sought)), np.ones(episodes), (), seed, True)
-
-    monkeypatch.setattr(starts, "evaluate", evaluated)
-    start = best_start(HEAVY, Path("nowhere"), 1)
-    assert (start.name, start.told, start.sha256) == (FOLDED, SEARCHED, policy.sha256)

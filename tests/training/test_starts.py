@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 
 from imujoco_minari.errors import PolicyNotFoundError
-from imujoco_minari.policies import Array, agent_file, expert_record, universal_policy
+from imujoco_minari.policies import Actor, Array, agent_file, expert_record, universal_policy
 from imujoco_minari.policies.evaluation import Evaluation
 from imujoco_minari.policies.experts import FOLDED
 from imujoco_minari.training import starts
 from imujoco_minari.training.agents import CRITICS, actor_of, agent_actor, load_arrays
+from imujoco_minari.training.context_search import SEARCHED
 from imujoco_minari.training.critics import fold_critics, with_context
 from imujoco_minari.training.starts import best_start
-from imujoco_minari.variants import Variant, specification
+from imujoco_minari.variants import Variant
 
 VARIANT = Variant.parse("hopper-massinc_37_torsogeom-jointdec_20_legjoint")
 LAYERS = ("BatchRenorm_0", "Dense_0", "BatchRenorm_1", "Dense_1", "BatchRenorm_2", "Dense_2")
@@ -67,29 +68,32 @@ def test_folded_critics_judge_as_those_that_are_told() -> None:
     }
 
 
-@pytest.mark.parametrize(("value", "found"), [(50.0, FOLDED), (30.0, "hopper-base")])
-def test_the_better_one_is_the_start(value: float, found: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    universal = universal_policy("hopper")
+@pytest.mark.parametrize(
+    ("best", "name", "told"),
+    [("folded", FOLDED, str(VARIANT)), ("searched", FOLDED, SEARCHED), ("base", "hopper-base", "")],
+)
+def test_the_best_one_is_the_start(best: str, name: str, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    universal, path = universal_policy("hopper"), agent_file(Variant("hopper"))
     assert universal is not None
-    folded = universal.fold(VARIANT).sha256
+    assert path is not None
+    own = universal.context(VARIANT)
+    biases = {
+        "folded": universal.fold(VARIANT).weights["latent_pi.0.bias"],
+        "searched": universal.fold_context(own + 0.01).weights["latent_pi.0.bias"],
+        "base": agent_actor(load_arrays(path))["latent_pi.0.bias"],
+    }
 
-    def evaluate(env: object, actor: object, *, episodes: int, seed: int) -> Evaluation:
-        weights = actor.weights  # type: ignore[attr-defined]
-        is_folded = np.allclose(
-            weights["latent_pi.0.bias"], universal.fold(VARIANT).weights["latent_pi.0.bias"], atol=1e-2
-        )
-        return Evaluation(np.full(episodes, value if is_folded else 40.0), np.ones(episodes), (), seed, True)
+    def evaluate(env: object, actor: Actor, *, episodes: int, seed: int) -> Evaluation:
+        is_best = np.array_equal(actor.weights["latent_pi.0.bias"], biases[best].astype(np.float16))
+        return Evaluation(np.full(episodes, 50.0 if is_best else 40.0), np.ones(episodes), (), seed, True)
 
+    monkeypatch.setattr(starts, "search_contexts", lambda *_: [own + 0.01])
     monkeypatch.setattr(starts, "evaluate", evaluate)
-    start = best_start(VARIANT, Path("nowhere"), 0)
-    assert (start.name, start.score) == (found, max(value, 40.0))
-    if found == FOLDED:
-        assert start.sha256 == expert_record(VARIANT)["universal_sha256"]
-        assert folded == expert_record(VARIANT)["weights_sha256"]
-    else:
-        assert start.sha256 == expert_record(Variant("hopper"))["weights_sha256"]
-    actor = actor_of(agent_actor(start.agent), "hopper")
-    assert actor.observation_size == specification("hopper").observation_size
+    start = best_start(VARIANT, Path("nowhere"), 1)
+    assert (start.name, start.told, start.score) == (name, told, 50.0)
+    of_base, of_folded = expert_record(Variant("hopper")), expert_record(VARIANT)
+    assert start.sha256 == (of_base["weights_sha256"] if best == "base" else of_folded["universal_sha256"])
+    assert actor_of(agent_actor(start.agent), "hopper").observation_size == 11
 
 
 def test_a_robot_without_a_universal_policy_starts_from_its_base(unshipped: None, tmp_path: Path) -> None:
