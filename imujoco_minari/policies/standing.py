@@ -14,7 +14,7 @@ import numpy as np
 
 from imujoco_minari.policies.experts import readable_record
 from imujoco_minari.policies.rungs import has_even_ranks, has_medium, mean_return, share_of
-from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS, Variant, catalogue, specification
+from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS, Variant, catalogue
 
 # The share that an expert should reach.
 BAR = 0.95
@@ -72,9 +72,7 @@ def standings(
     for robot in robots:
         base = readable_record(Variant(robot), folder)
         for category in categories:
-            if category != BASE and category not in specification(robot).categories:
-                continue
-            variants = (Variant(robot),) if category == BASE else catalogue(robot, category)
+            variants = [each for each in (Variant(robot), *catalogue(robot)) if each.category == category]
             if not variants:
                 continue
             records = [record for variant in variants if (record := readable_record(variant, folder))]

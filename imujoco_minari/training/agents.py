@@ -139,12 +139,7 @@ def agent_arrays(agent: Any) -> dict[str, Array]:
 
 
 def restore_agent(agent: Any, arrays: Mapping[str, Array], parts: tuple[str, ...] = ("",)) -> None:
-    """Restore the state that :func:`agent_arrays` returned into ``agent``.
-
-    Args:
-        agent: the agent.
-        arrays: the state.
-        parts: how the paths to restore begin: all of them, or :data:`STARTING`.
+    """Restore the state that :func:`agent_arrays` returned, all of it or the paths that begin with ``parts``.
 
     Raises:
         PolicyError: if the arrays have other names or shapes than the agent's.

@@ -44,15 +44,8 @@ def search_contexts(
 ) -> list[Array]:
     """Search the contexts of a universal policy for those with the highest returns in a variant.
 
-    Args:
-        universal: the universal policy.
-        variant: the variant.
-        start: the context to start from; shape (parameters,).
-        generations: number of generations, each of 40 episodes.
-
-    Returns:
-        The centre of every tenth generation: contexts of shape (parameters,), which may lie outside the
-        ranges of training.
+    The search begins at the context ``start``. A generation has 40 episodes. The centre of every tenth
+    generation is returned, a context that may lie outside the ranges of training.
     """
     from cmaes import CMA
 

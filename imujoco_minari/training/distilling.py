@@ -87,16 +87,10 @@ def distil(
     settings: Distilling,
     say: Callable[[str], None] = lambda line: None,
 ) -> dict[str, Array]:
-    """Return the weights of a universal policy that acts as the teachers do.
+    """Return the weights (Stable-Baselines3's names) of a universal policy that acts as the teachers do.
 
-    Args:
-        lessons: variants of one robot with their teachers.
-        start: the actor of observation and context that the student begins as.
-        settings: the settings.
-        say: called with a line about each round.
-
-    Returns:
-        Arrays under Stable-Baselines3's names; the first layer takes observation and context.
+    The lessons are variants of one robot. The student begins as ``start``, an actor of observation and
+    context. ``say`` is called with a line about each round.
     """
     begin, rng = time.monotonic(), np.random.default_rng(settings.seed)
     variants, teachers = [lesson.variant for lesson in lessons], [lesson.teacher for lesson in lessons]

@@ -86,13 +86,8 @@ def lessons(robot: str, policies: Path, seed: int, trained: UniversalPolicy | No
 
     They are the base, the listed variants, ODRL's targets, all others that have an expert, and drawn ones. A
     drawn variant is left out if no policy reaches two fifths of the base expert's return. The base and the
-    listed ones are returned twice, because most of the others are drawn.
-
-    Args:
-        robot: the robot.
-        policies: folder to search before the package's.
-        seed: seed of the drawn variants.
-        trained: a universal policy that may teach too, also while it is told another variant.
+    listed ones are returned twice, because most of the others are drawn. The universal policy ``trained``
+    may teach too, also while it is told another variant.
     """
     base = Variant(robot)
     expert = own_record(base, policies)

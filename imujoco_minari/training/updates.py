@@ -27,12 +27,7 @@ def hold(agent: Any, anchor: Mapping[str, Array], alpha: float) -> None:
     """Hold an agent's actor near a policy, as TD3+BC holds a policy to data (Fujimoto and Gu 2021).
 
     The actor's loss has another term: ``mean|Q| / alpha`` times the squared distance between the modes of
-    actor and anchor.
-
-    Args:
-        agent: the agent.
-        anchor: the policy's weights, under Stable-Baselines3's names.
-        alpha: how far the actor may go from the anchor.
+    actor and anchor. ``anchor`` is the policy's weights, under Stable-Baselines3's names.
     """
     import jax.numpy as jnp
 
