@@ -36,9 +36,9 @@ COLUMNS = (
 class Standing(NamedTuple):
     """The experts of one robot's category, or of its base.
 
-    ``policies`` of ``of`` variants have an expert. ``median`` and ``minimum`` are of their shares, None
-    without experts; ``below`` counts those below :data:`BAR`. ``medium`` and ``ranked`` count the experts
-    whose rungs have the returns that these tiers need. ``hours`` are the core-hours of training.
+    ``policies`` of ``of`` variants have an expert that was evaluated. ``median`` and ``minimum`` are of their
+    shares, None without experts; ``below`` counts those below :data:`BAR`. ``medium`` and ``ranked`` count
+    the experts whose rungs have the returns that these tiers need. ``hours`` are the core-hours of training.
     """
 
     robot: str
@@ -75,7 +75,9 @@ def standings(
             variants = [each for each in (Variant(robot), *catalogue(robot)) if each.category == category]
             if not variants:
                 continue
-            records = [record for variant in variants if (record := readable_record(variant, folder))]
+            records = [readable_record(variant, folder) for variant in variants]
+            # A folded expert that nobody has evaluated has no return.
+            records = [record for record in records if "evaluation" in record]
             shares = [share_of(mean_return(record), base) for record in records] if base else []
             lines.append(
                 Standing(
@@ -95,7 +97,7 @@ def standings(
 
 
 def share_of_base(record: Mapping[str, Any], folder: Path | None = None) -> float | None:
-    """Return the share of the expert with this training record; None when its base has no expert."""
+    """Return the share of the evaluated expert with this record; None when its base has no expert."""
     base = readable_record(Variant.parse(record["variant"]).base, folder)
     return share_of(mean_return(record), base) if base else None
 

@@ -6,6 +6,7 @@ import json
 import os
 import random
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -194,6 +195,20 @@ def test_a_bad_record_keeps_no_other_policy_from_the_lists(
     assert len(json.loads(printed.out)) == 37
     assert "hopper-universal.json" in printed.err
     assert {rung.get("run") for rung in rungs_of_robot(BASE)} == {rung.get("run") for rung in SHIPPED_RUNGS}
+
+
+def test_an_expert_that_nobody_has_evaluated_is_left_out_of_the_summary(
+    home: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    policies_folder().mkdir(parents=True)
+    for suffix in ("json", "safetensors"):
+        shutil.copy(shipped_folder() / f"hopper-universal.{suffix}", policies_folder())
+    path = policies_folder() / "hopper-universal.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"measured": {}}))
+    assert run(["policies", "--summary", "--robot", "hopper", "--json"]) == 0
+    lines = json.loads(capsys.readouterr().out)
+    own = [variant for variant in catalogue("hopper") if variant in SHIPPED]
+    assert sum(line["policies"] for line in lines if line["category"] != "base") == len(own) < 37
 
 
 def test_an_own_expert_that_started_from_the_universal_policy_is_published(home: Path, root: Path) -> None:
