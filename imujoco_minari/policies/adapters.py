@@ -11,6 +11,7 @@ import numpy as np
 
 from imujoco_minari.errors import PolicyError
 from imujoco_minari.policies.doors import Array
+from imujoco_minari.policies.universal import UniversalPolicy
 
 # Observations of shape (b, obs) and a source of random numbers for each -> actions of shape (b, act).
 BatchAct: TypeAlias = Callable[[Array, Sequence[np.random.Generator]], Any]
@@ -49,6 +50,8 @@ def batch_act(policy: Any) -> BatchAct:
     if callable(policy):
         return lambda observations, rngs: [policy(each) for each in observations]
     hint = "; load a file with load_policy(variant, path=...)" if isinstance(policy, str) else ""
+    if isinstance(policy, UniversalPolicy):
+        hint = "; for one variant, take policy.fold(variant)"
     raise PolicyError(
         "a policy is a function of the observation, a torch module, or an object with act() or predict(), "
         f"not {type(policy).__name__}{hint}"

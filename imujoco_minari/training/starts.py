@@ -7,6 +7,7 @@ folded the same way. A robot without a universal policy starts from its base's a
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from imujoco_minari.errors import PolicyNotFoundError
@@ -24,10 +25,12 @@ from imujoco_minari.variants import Variant, catalogue
 EPISODES, START_SEED = 20, 1_000_005
 
 
-def best_start(variant: Variant, policies: Path, generations: int) -> Start:
+def best_start(
+    variant: Variant, policies: Path, generations: int, say: Callable[[str], None] = lambda line: None
+) -> Start:
     """Return the better start for a variant: the folded agent, or the base's.
 
-    ``generations`` is the length of :func:`search_contexts`.
+    ``generations`` is the length of :func:`search_contexts`. ``say`` is called with a line before it.
 
     Raises:
         PolicyNotFoundError: if the base's agent does not exist.
@@ -42,6 +45,7 @@ def best_start(variant: Variant, policies: Path, generations: int) -> Start:
     starts = [Start(str(variant.base), base_agent, str(record["weights_sha256"]))]
     universal = universal_policy(variant.robot, policies)
     if universal is not None:
+        say(f"choosing the start of {variant}, which takes some minutes")
         own = agent_file(universal_name(variant.robot), policies)
         critics = {} if own is None else load_arrays(own)
         others = best_told(universal, variant, [variant.base, *catalogue(variant.robot)])

@@ -153,8 +153,7 @@ def task(variant: Variant, plan: Plan, say: Callable[[str], None] = lambda line:
         settings = hyperparameters(variant.robot, SCRATCH, **plan.changes)
         return Task(variant, settings, plan.seed, target=target)
     generations = hyperparameters(variant.robot, WARM, **plan.changes).search_generations
-    say(f"choosing the start of {variant}, which takes some minutes")
-    start = best_start(variant, plan.policies, generations)
+    start = best_start(variant, plan.policies, generations, say)
     base = own_record(variant.base, plan.policies)
     needed_score = return_at(TARGET_SHARE, base)
     if plan.target is None and not plan.improve:

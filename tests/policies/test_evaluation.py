@@ -18,7 +18,7 @@ import imujoco_minari
 from imujoco_minari import evaluate, make, publish
 from imujoco_minari.errors import ArgumentError, ImujocoError, PolicyError, PolicyNotFoundError, VariantError
 from imujoco_minari.loading import arrays
-from imujoco_minari.policies import RandomPolicy, load_policy
+from imujoco_minari.policies import RandomPolicy, load_policy, universal_policy
 from imujoco_minari.policies.rollouts import episode_seed
 from imujoco_minari.policies.sb3 import export_zip
 from imujoco_minari.variants import Variant
@@ -161,6 +161,7 @@ def recurrent(x: Any, state: Any = None, deterministic: bool = False) -> Any:
     [
         (None, "not NoneType"),
         ("model.zip", r"not str; load a file with load_policy\(variant, path=...\)"),
+        (universal_policy("hopper"), r"not UniversalPolicy; for one variant, take policy.fold\(variant\)"),
         (RandomPolicy, "RandomPolicy is a class"),
         (RandomPolicy(6), r"actions of shape \(1, 6\) for 1 observations; valid: \(1, 3\)"),
         (random_actor(17, 6), r"fails on .* shape \(11,\): ArgumentError: .* valid: \(17,\)"),
