@@ -120,7 +120,6 @@ def lessons(robot: str, policies: Path, seed: int, trained: UniversalPolicy | No
 def train_universal(
     robot: str,
     plan: Plan,
-    distilling: Distilling | None = None,
     say: Callable[[str], None] = lambda line: None,
     on_interval: OnInterval = do_nothing,
 ) -> Trained:
@@ -131,7 +130,6 @@ def train_universal(
     Args:
         robot: the robot.
         plan: the folders, the hyperparameters that differ, and whether to improve a policy that exists.
-        distilling: the settings of the distillation; None for the usual ones with the plan's seed.
         say: called with a line about the distillation now and then.
         on_interval: called with the progress and the task after every interval of the training before it.
 
@@ -142,8 +140,7 @@ def train_universal(
     name, present = universal_name(robot), universal_policy(robot, plan.policies)
     if present is not None and not plan.improve:
         return Trained(name, dict(present.record))
-    distilling = distilling or Distilling(seed=plan.seed)
-    folder = plan.state / name
+    distilling, folder = Distilling(seed=plan.seed), plan.state / name
     with lock_folder(folder):
         task = _task(robot, plan)
         progress, agent, trained = Progress(), task.start.agent, None

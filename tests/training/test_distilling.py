@@ -126,6 +126,7 @@ def test_a_universal_policy_is_trained_killed_resumed_and_installed(
 ) -> None:
     monkeypatch.setattr(universal, "lessons", lambda *_: [lesson(BASE), lesson(HEAVY)])
     monkeypatch.setattr(universal, "catalogue", lambda robot: (HEAVY,))
+    monkeypatch.setattr(universal, "Distilling", lambda seed: replace(QUICK, seed=seed))
     names = ("episodes", "return_mean", "return_std", "return_min", "return_max", "length_mean")
     returns = dict.fromkeys(names, 1e6)
 
@@ -157,19 +158,17 @@ def test_a_universal_policy_is_trained_killed_resumed_and_installed(
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train_universal("hopper", plan, QUICK, lines.append, die)
+        train_universal("hopper", plan, lines.append, die)
     assert not (tmp_path / "policies").exists()
     assert lines == []
     # It goes on where it was: 150 steps are left.
-    outcome = train_universal("hopper", plan, QUICK, lines.append, tell)
+    outcome = train_universal("hopper", plan, lines.append, tell)
     assert outcome.created
     assert steps == [400]
     assert any(line.startswith("round 2") for line in lines)
     # It ends in the weights of a run that was not killed.
     whole = Plan(tmp_path / "whole", tmp_path / "others", improve=True, changes=changes)
-    assert (
-        train_universal("hopper", whole, QUICK).record["weights_sha256"] == outcome.record["weights_sha256"]
-    )
+    assert train_universal("hopper", whole).record["weights_sha256"] == outcome.record["weights_sha256"]
     found = universal_policy("hopper", tmp_path / "policies")
     assert found is not None
     assert found.sha256 == outcome.record["weights_sha256"]
@@ -183,18 +182,18 @@ def test_a_universal_policy_is_trained_killed_resumed_and_installed(
     monkeypatch.setattr(starts, "catalogue", lambda robot: (HEAVY,))
     start = best_start(HEAVY, tmp_path / "policies", 0)
     assert start.agent["qf/params/VmapCritic_0/Dense_0/kernel"].shape[1] == 14
-    kept = train_universal("hopper", Plan(tmp_path / "state", tmp_path / "policies"), QUICK)
+    kept = train_universal("hopper", Plan(tmp_path / "state", tmp_path / "policies"))
     assert (kept.created, kept.tried) == (False, {})
     # One that is not better is not installed.
     returns.update(return_mean=returns["return_mean"] - 1)
     untrained = replace(plan, changes=changes | {"max_steps": 0})
-    again = train_universal("hopper", replace(untrained, seed=1), QUICK)
+    again = train_universal("hopper", replace(untrained, seed=1))
     assert (again.created, bool(again.tried)) == (False, True)
     assert again.record["weights_sha256"] == found.sha256 != again.tried["weights_sha256"]
     # Without training steps, the known policies are distilled only, and the critics stay.
     returns.update(return_mean=returns["return_mean"] + 9)
     critics, steps[:] = agent.read_bytes(), []
-    distilled = train_universal("hopper", replace(untrained, seed=2), QUICK, on_interval=tell)
+    distilled = train_universal("hopper", replace(untrained, seed=2), on_interval=tell)
     assert (distilled.created, distilled.record["steps_trained"], steps) == (True, 0, [])
     assert distilled.record["weights_sha256"] != found.sha256
     assert agent.read_bytes() == critics
