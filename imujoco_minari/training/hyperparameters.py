@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from functools import cache
 from importlib import resources
 from typing import Any, get_type_hints
@@ -86,6 +86,9 @@ class Hyperparameters:
         return asdict(self)
 
 
+_TYPES = get_type_hints(Hyperparameters)
+
+
 def hyperparameters(robot: str, start: str, **changes: Any) -> Hyperparameters:
     """Return the hyperparameters of a robot and a kind of start.
 
@@ -104,10 +107,8 @@ def hyperparameters(robot: str, start: str, **changes: Any) -> Hyperparameters:
     """
     table, own = _read_table(), specification(robot).training
     values = {**table["all"], **table[start], **own.get(start, {}), **changes}
-    known = {field.name for field in fields(Hyperparameters)}
-    unknown = sorted(set(values) - known)
-    if unknown:
-        raise CatalogueError(f"unknown hyperparameter {unknown[0]!r}; valid: {', '.join(sorted(known))}")
+    if unknown := sorted(set(values) - set(_TYPES)):
+        raise CatalogueError(f"unknown hyperparameter {unknown[0]!r}; valid: {', '.join(sorted(_TYPES))}")
     for name, value in own.get(start, {}).items():
         if fault := _fault(name, value):
             raise CatalogueError(f"the page of {robot}, [training.{start}]: {fault}")
@@ -125,17 +126,16 @@ def hyperparameter_changes(texts: Sequence[str]) -> dict[str, int | float]:
         >>> hyperparameter_changes(["batch_size=256", "gamma=0.98"])
         {'batch_size': 256, 'gamma': 0.98}
     """
-    types = get_type_hints(Hyperparameters)
     changes: dict[str, int | float] = {}
     for text in texts:
         name, equals, value = text.partition("=")
-        if not equals or name not in types:
-            near = "" if name in types else suggestion(name[:80], types)
+        if not equals or name not in _TYPES:
+            near = "" if name in _TYPES else suggestion(name[:80], _TYPES)
             raise CatalogueError(
-                f"cannot set {clipped(text)!r}{near}: write NAME=VALUE; names: {', '.join(sorted(types))}"
+                f"cannot set {clipped(text)!r}{near}: write NAME=VALUE; names: {', '.join(sorted(_TYPES))}"
             )
         try:
-            changes[name] = types[name](value)
+            changes[name] = _TYPES[name](value)
         except ValueError:
             changes[name] = -1
         if fault := _fault(name, changes[name]):
@@ -145,7 +145,7 @@ def hyperparameter_changes(texts: Sequence[str]) -> dict[str, int | float]:
 
 def _fault(name: str, value: int | float) -> str:
     """Return what a hyperparameter must be, or an empty text if the value is valid."""
-    whole, optional = get_type_hints(Hyperparameters)[name] is int, name in _MAY_BE_ZERO
+    whole, optional = _TYPES[name] is int, name in _MAY_BE_ZERO
     typed = isinstance(value, int) or not whole
     if typed and 0 <= value < math.inf and (value != 0 or optional):
         return ""

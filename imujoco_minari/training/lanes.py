@@ -64,7 +64,6 @@ class Lanes:
         page = specification(robot)
         self._choose, self._seed, self._told, self._wrap = choose, seed, told, wrap
         self._bound, self.episodes = page.action_bound, 0
-        self._variants: list[Variant | None] = [None] * count
         self._envs: list[Any] = [None] * count
         self._totals = np.zeros(count)
         self.observations = np.zeros((count, page.observation_size))
@@ -92,9 +91,8 @@ class Lanes:
             following[lane], rewards[lane], terminated, truncated, _ = self._envs[lane].step(action)
             self._totals[lane] += rewards[lane]
             terminations[lane] = terminated
-            variant = self._variants[lane]
-            if variant is not None and (terminated or truncated):
-                ended.append((variant, float(self._totals[lane])))
+            if terminated or truncated:
+                ended.append((self._envs[lane].unwrapped.variant, float(self._totals[lane])))
                 self._begin(lane)
             else:
                 self.observations[lane] = following[lane]
@@ -108,13 +106,12 @@ class Lanes:
 
     def _begin(self, lane: int) -> None:
         self.episodes += 1
-        variant = self._choose(lane, self.episodes)
-        if variant != self._variants[lane]:
-            if self._envs[lane] is not None:
-                self._envs[lane].close()
+        variant, before = self._choose(lane, self.episodes), self._envs[lane]
+        if before is None or variant != before.unwrapped.variant:
+            if before is not None:
+                before.close()
             env = make(variant, disable_env_checker=True)
             self._envs[lane] = env if self._wrap is None else self._wrap(env)
-            self._variants[lane] = variant
             if self._told:
                 self.contexts[lane] = whole_context(variant)
         self._totals[lane] = 0.0

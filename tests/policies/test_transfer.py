@@ -70,17 +70,7 @@ def test_every_policy_is_evaluated_on_every_variant(tmp_path: Path, policies: di
     assert result.returns()[1][2] == expected.return_mean
 
 
-def test_a_second_run_evaluates_nothing(
-    tmp_path: Path, policies: dict[str, Policy], evaluated: list[tuple[str, str]]
-) -> None:
-    first = evaluate_transfer(policies, VARIANTS, tmp_path / "state.json", episodes=1)
-    assert len(evaluated) == 9
-    second = evaluate_transfer(policies, VARIANTS, tmp_path / "state.json", episodes=1)
-    assert len(evaluated) == 9
-    assert evaluations(second) == evaluations(first)
-
-
-def test_a_run_that_was_broken_off_goes_on(
+def test_a_run_that_was_broken_off_goes_on_and_a_finished_one_evaluates_nothing(
     tmp_path: Path, policies: dict[str, Policy], evaluated: list[tuple[str, str]]
 ) -> None:
     def break_off() -> None:
@@ -90,8 +80,11 @@ def test_a_run_that_was_broken_off_goes_on(
     with pytest.raises(KeyboardInterrupt):
         evaluate_transfer(policies, VARIANTS, tmp_path / "state.json", episodes=1, on_cell=break_off)
     assert len(evaluated) == 4
-    evaluate_transfer(policies, VARIANTS, tmp_path / "state.json", episodes=1)
+    first = evaluate_transfer(policies, VARIANTS, tmp_path / "state.json", episodes=1)
     assert len(evaluated) == len(set(evaluated)) == 9
+    second = evaluate_transfer(policies, VARIANTS, tmp_path / "state.json", episodes=1)
+    assert len(evaluated) == 9
+    assert evaluations(second) == evaluations(first)
     assert [path.name for path in tmp_path.iterdir()] == ["state.json"]
 
 
