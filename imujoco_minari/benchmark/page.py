@@ -33,8 +33,8 @@ is an interquartile mean over variants and seeds. Its 95 % bootstrap interval in
 read it to compare methods on these variants. The one in brackets is over variants and seeds: read it to judge
 how a method would score in other variants of the same kind."""
 _STATED = "[The benchmark](benchmark.md) defines every setting and says how to submit yours."
-_EARLIER = """The results of these sections are of earlier experts than those that this version ships: {}. They
-are being computed again. Until then, a score of 1 in them is the return of the earlier expert."""
+_EARLIER = """The results of these sections are of earlier experts than those that this version ships: {}.
+They are being computed again. Until then, a score of 1 in them is the return of the earlier expert."""
 _MADE = """`imujoco benchmark page` makes this page from the result lines, and `results.csv` beside it has
 every score."""
 _OTHERS = (
