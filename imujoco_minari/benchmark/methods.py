@@ -6,6 +6,7 @@ this package: see :func:`~imujoco_minari.benchmark.few_shot.run_few_shot`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -107,7 +108,10 @@ def find_method(name: str, known: Mapping[str, Any] = METHODS) -> Any:
     module, _, own = name.partition(":")
     if own:
         try:
-            return getattr(import_module(module), own)
+            found = getattr(import_module(module), own)
+            if not isinstance(found, type):
+                raise TypeError(f"{own} is not a class")
+            return found
         except (ImportError, AttributeError, TypeError, ValueError) as error:
             raise BenchmarkChoiceError(f"no method {clipped(name)!r}: {error}") from None
     if name not in known:
@@ -131,9 +135,12 @@ def with_settings(new: NewMethod, settings: Sequence[str]) -> NewMethod:
         kind = type(numbers[name])
         try:
             changed[name] = kind(value)
+            finite = math.isfinite(changed[name])
         except ValueError:
-            whole = "whole " if kind is int else ""
-            raise BenchmarkError(f"{clipped(text)!r} is not a {whole}number") from None
+            finite = False
+        if not finite:
+            whole = "whole" if kind is int else "finite"
+            raise BenchmarkError(f"{clipped(text)!r} is not a {whole} number")
     return partial(new, **changed)
 
 

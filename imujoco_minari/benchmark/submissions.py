@@ -24,7 +24,7 @@ from imujoco_minari.variants import EXPERT, held_out
 # The digests, references and versions of the published results: `scripts/generate-docs` writes it.
 PUBLISHED = Path(__file__).with_name("published.json")
 # All lines of a method take about 1.5 MB.
-MAX_BYTES, MAX_LINE, MAX_FAULTS = 2**23, 2**17, 50
+MAX_BYTES, MAX_LINES, MAX_LINE, MAX_FAULTS = 2**23, 100_000, 2**17, 50
 # The versions that decide the data and the episodes. A method need not use the others.
 VERSIONS = ("imujoco-minari", "mujoco", "gymnasium", "numpy")
 _FEW: dict[str, type] = dict.fromkeys(("method", "split", "tier", "variant", "budget", "train_sha256"), str)
@@ -105,7 +105,7 @@ def _texts(file: Path) -> Iterator[tuple[int, bytes]]:
     if file.stat().st_size > MAX_BYTES:
         raise BenchmarkError(f"larger than {MAX_BYTES // 2**20} MiB: not read")
     with file.open("rb") as opened:
-        for number in range(1, MAX_BYTES):
+        for number in range(1, MAX_LINES + 1):
             text = opened.readline(MAX_LINE + 1)
             if not text:
                 return
@@ -114,6 +114,7 @@ def _texts(file: Path) -> Iterator[tuple[int, bytes]]:
                     f"line {number} is longer than {MAX_LINE // 2**10} KiB: not read further"
                 )
             yield number, text
+    raise BenchmarkError(f"more than {MAX_LINES:,} lines: not read further")
 
 
 def few_shot_fault(line: Line) -> list[str]:

@@ -84,6 +84,16 @@ def train_variants(
 
     if universal and (choice.robot is None or choice.names or choice.category):
         raise typer.BadParameter("--universal trains one policy a robot: give --robot ROBOT and no variants")
+    for_variants = {
+        "--scratch": scratch,
+        "--target": target is not None,
+        "--jobs": jobs > 1,
+        "--backend": backend is not None,
+        "--record-replay": record_replay,
+    }
+    given = [name for name, is_given in for_variants.items() if is_given]
+    if universal and given:
+        raise typer.BadParameter(f"--universal has no {given[0]}")
     if max_steps == 0 and not universal:
         raise typer.BadParameter("--max-steps 0 only distils a universal policy: add --universal")
     chosen = choice.variants()
@@ -124,7 +134,7 @@ def _recorded(chosen: list[Variant], plan: Plan) -> Iterator[Published]:
 
     for variant in chosen:
         # All of the run is recorded, not only the way to a target.
-        whole = replace(task(variant, plan), target=float("inf"))
+        whole = replace(task(variant, plan, say), target=float("inf"))
         folder = plan.state / f"{variant}-replay"
         yield record_training(whole, folder, device=plan.device, on_interval=_tell)
 

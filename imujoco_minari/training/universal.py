@@ -184,7 +184,9 @@ def train_universal(
             # The record is written last. Its presence means that the policy is complete.
             write_json(plan.policies / f"{name}.json", record)
             outcome = Trained(name, record, created=True)
-        shutil.rmtree(folder)
+        # Distilling alone leaves an unfinished training as it is.
+        if trained or not (folder / "run").exists():
+            shutil.rmtree(folder)
     return outcome
 
 

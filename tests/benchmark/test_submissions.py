@@ -11,7 +11,7 @@ import pytest
 from imujoco_minari.benchmark import few_shot, offline
 from imujoco_minari.benchmark.lines import read_lines
 from imujoco_minari.benchmark.page import read_results, results_page, sections
-from imujoco_minari.benchmark.submissions import MAX_BYTES, MAX_LINE, check_submission
+from imujoco_minari.benchmark.submissions import MAX_BYTES, MAX_LINE, MAX_LINES, check_submission
 from imujoco_minari.cli.app import run
 from imujoco_minari.errors import BenchmarkError
 
@@ -138,6 +138,8 @@ def test_reading_is_bounded(whole: list[dict[str, Any]], tmp_path: Path) -> None
     with file.open("ab") as opened:
         opened.truncate(MAX_BYTES + 1)
     assert "larger than 8 MiB: not read" in check_submission(tmp_path)[0]
+    file.write_bytes(b"\n" * (MAX_LINES + 1))
+    assert "more than 100,000 lines: not read further" in check_submission(tmp_path)[0]
     written(tmp_path, [whole[0] | {"versions": {"mujoco": str(number)}} for number in range(500)])
     assert len(check_submission(tmp_path)) < 60
 

@@ -141,6 +141,7 @@ def test_verify_fails_on_damage(capsys: pytest.CaptureFixture[str], root: Path) 
         (["combine", "a/b-v0"], 2, "--id"),
         (["policy", "export", "ant-base", "x.zip"], 2, "imujoco train"),
         (["train", "hopper-base", "--max-steps", "0"], 2, "add --universal"),
+        (["train", "--universal", "--robot", "hopper", "--jobs", "2"], 2, "--universal has no --jobs"),
         (["plot", "imujoco/hopper-base-v0", "--output", "x.png"], 1, "give --output a folder"),
         (["transfer", "--robot", "hopper", "--output", "x.svg"], 1, "give --output a folder"),
     ],

@@ -300,6 +300,7 @@ def test_the_lines_of_code_run(tmp_path: Path, name: str) -> None:
     [
         ("hopper-base", "unchanged", "Hopper (Hopper-v5), unchanged"),
         ("hopper-massdec_25_leggeom", "mass of leggeom −25 %", "the mass of leg_geom changed by −25 %"),  # noqa: RUF001
+        ("hopper-massinc_1234p56_leggeom", "mass of leggeom +1234.56 %", "changed by +1234.56 %"),
         ("walker2d-jointdec_50_legjoint", "range of legjoint −50 %", "the range of motion of leg_joint"),  # noqa: RUF001
     ],
 )

@@ -193,7 +193,11 @@ def test_a_universal_policy_is_trained_killed_resumed_and_installed(
     # Without training steps, the known policies are distilled only, and the critics stay.
     returns.update(return_mean=returns["return_mean"] + 9)
     critics, steps[:] = agent.read_bytes(), []
+    unfinished = tmp_path / "state" / "hopper-universal" / "run" / "checkpoint.safetensors"
+    unfinished.parent.mkdir(parents=True)
+    unfinished.touch()
     distilled = train_universal("hopper", replace(untrained, seed=2), on_interval=tell)
     assert (distilled.created, distilled.record["steps_trained"], steps) == (True, 0, [])
     assert distilled.record["weights_sha256"] != found.sha256
     assert agent.read_bytes() == critics
+    assert unfinished.exists()

@@ -113,7 +113,7 @@ def summary(variant: Variant) -> str:
         return f"{robot}, unchanged: all its variants are compared with it."
     changed = (
         f"the {BY_NAME[change.category].quantity} of {' and '.join(change.mjcf_names(variant.robot))} "
-        f"changed by {_format_percent(change.percent)}"
+        f"changed by {_format(change.percent, '+g')}{SPACE}%"
         for change in variant.changes
     )
     return f"{robot} with {', and '.join(changed)}."
