@@ -93,9 +93,9 @@ def test_a_dataset_that_states_no_count_is_named(
 
 @pytest.mark.usefixtures("unshipped")
 def test_training_counts_what_has_no_expert() -> None:
-    assert training_line([LEG], None, 1, improve=False) == "1 expert: about 160.0 kB and 4 minutes"
+    assert training_line([LEG], None, 1, improve=False) == "1 expert: about 160.0 kB and 11 minutes"
     assert training_line([*bases(), *catalogue()], None, 2, improve=False) == (
-        "157 experts: about 36.6 MB and 6.2 hours with 2 processes on as many cores"
+        "157 experts: about 36.6 MB and 14.7 hours with 2 processes on as many cores"
     )
 
 
@@ -104,7 +104,7 @@ def test_training_leaves_out_what_has_an_expert(capsys: pytest.CaptureFixture[st
     output = capsys.readouterr()
     assert output.err.startswith("3 experts, 0 of them to train: about 0 bytes and 0 seconds\n")
     assert output.out.count("left alone") == 3
-    assert training_line([LEG], None, 1, improve=True) == "1 expert: about 160.0 kB and 4 minutes"
+    assert training_line([LEG], None, 1, improve=True) == "1 expert: about 160.0 kB and 11 minutes"
 
 
 def test_the_gallery_in_a_line() -> None:
