@@ -33,7 +33,8 @@ def specification(robot: str) -> RobotSpecification:
     if isinstance(robot, str) and robot in _FAULTS:
         raise CatalogueError(_FAULTS[robot])
     if not isinstance(robot, str) or robot not in _PAGES:
-        raise VariantError(unknown("unknown robot", robot, _PAGES))
+        own = "load_catalogue and --catalogue load the page of another robot"
+        raise VariantError(f"{unknown('unknown robot', robot, _PAGES)}; {own}")
     return _PAGES[robot]
 
 

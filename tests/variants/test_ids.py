@@ -150,7 +150,10 @@ def test_any_text_is_a_variant_or_a_variant_error(text: str) -> None:
         ("hopper-massinc_50p0_leggeom", ["as 'massinc_50_leggeom'"]),
         ("hopper-massdec_025_leggeom", ["as 'massdec_25_leggeom'"]),
         ("hopper-massdec_0_leggeom", ["as 'massinc_0_leggeom'"]),
-        ("crab-base", ["unknown robot 'crab'", "valid: hopper, halfcheetah, walker2d, "]),
+        (
+            "crab-base",
+            ["unknown robot 'crab'", "valid: hopper, halfcheetah, walker2d, ", "--catalogue load the page"],
+        ),
         ("hopper-leggeom", ["malformed", "as in hopper-massdec_25_leggeom"]),
         ("hopper", ["malformed"]),
         ("../hopper-base", ["unknown robot '../hopper'"]),
