@@ -24,7 +24,7 @@ from imujoco_minari.benchmark.methods import COMPARISONS, METHODS
 from imujoco_minari.errors import BenchmarkError
 from imujoco_minari.policies.aggregates import bootstrap_interval, interquartile_mean
 from imujoco_minari.short_repr import short_repr
-from imujoco_minari.variants import BASE, CATEGORIES, ROBOTS, Variant
+from imujoco_minari.variants import BASE, CATEGORIES, EXPERT, ROBOTS, Variant
 
 ALL = "all"
 # The variants that offline data do not contain.
@@ -35,7 +35,8 @@ TYPICAL_BUDGET = "5x100"
 OTHERS_MARK = " †"
 # Values of a score's fields in the order in which they are shown. Those of users follow.
 _ORDER = [*METHODS, *offline.ALGORITHMS, *offline.ACROSS_ALGORITHMS, *map(str, protocol.BUDGETS)]
-_ORDER += [*offline.ALL_TIERS, *ROBOTS, BASE, SHIFTED, *CATEGORIES]
+_ORDER += [EXPERT, *offline.ALL_TIERS, *ROBOTS, BASE, SHIFTED, *CATEGORIES]
+_ORDER += [f"{robot}-{kind}-v1" for robot in ROBOTS for kind in ("extremes", "random")]
 # A score and the ends of its interval.
 Interval = tuple[float, float, float]
 

@@ -31,15 +31,16 @@ _METHODS = {"method": "method", "steps": "steps"}
 def few_shot_tables(scores: Sequence[MethodScore]) -> str:
     """Return Markdown tables of few-shot scores, folded by split: by budget, and by category."""
     parts = []
-    for group, tier in dict.fromkeys((score.group, score.tier) for score in scores if score.category == ALL):
+    for group, tier in product(in_order({s.group for s in scores}), in_order({s.tier for s in scores})):
         own = [score for score in scores if (score.group, score.tier) == (group, tier)]
+        if not any(score.category == ALL for score in own):
+            continue
         columns = _by_budget(own)
         typical = [s for s in own if s.budget == TYPICAL_BUDGET or s.method in COMPARISONS]
         for category in CATEGORIES:
             if of_category := [score for score in typical if score.category == category]:
                 columns[f"{category}, {TYPICAL_BUDGET}"] = of_category
-        count = max(score.variants for score in own)
-        caption = f"{group}, {tier}, {count} held-out variants"
+        caption = f"{group}, {tier}, {_held_out(own)}"
         parts.append(folded(caption, table(*_table(_METHODS, columns))))
     return "\n\n".join(parts)
 
@@ -74,9 +75,9 @@ def offline_tables(scores: Sequence[MethodScore]) -> str:
 def across_tables(scores: Sequence[MethodScore]) -> str:
     """Return Markdown tables of scores in held-out variants, folded by split."""
     parts = []
-    for group in dict.fromkeys(score.group for score in scores):
+    for group in in_order({score.group for score in scores}):
         own = [score for score in scores if score.group == group]
-        caption = f"{group}, {SHIFTED_TIER}, {max(score.variants for score in own)} held-out variants"
+        caption = f"{group}, {SHIFTED_TIER}, {_held_out(own)}"
         shown = [score for score in own if score.category == SHIFTED]
         shown += [score for score in after_most_steps(own) if score.category != SHIFTED]
         fields = {"held-out variants": "category", "updates": "steps"}
@@ -107,6 +108,12 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Return a Markdown table."""
     lines = [columns, ["---"] * len(columns), *rows]
     return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
+
+
+def _held_out(scores: Sequence[MethodScore]) -> str:
+    """Return the number of held-out variants in words."""
+    count = max(score.variants for score in scores)
+    return f"{count} held-out variant{'s' if count > 1 else ''}"
 
 
 def _by_budget(scores: Sequence[MethodScore]) -> dict[str, list[MethodScore]]:
