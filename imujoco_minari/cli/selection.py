@@ -14,7 +14,7 @@ from imujoco_minari.cli import options
 from imujoco_minari.cli.printing import counted
 from imujoco_minari.errors import DatasetNotFoundError, VariantError
 from imujoco_minari.storage import minari_root
-from imujoco_minari.variants import BASE, EXPERT, Variant, catalogue
+from imujoco_minari.variants import BASE, EXPERT, Variant, catalogue, known_robots
 
 
 @dataclass(frozen=True)
@@ -75,6 +75,11 @@ class VariantChoice(Filters):
             VariantError: if a name is no variant, or there are names and filters, or neither.
         """
         self.check(self.names, "name a variant")
+        if robots := set(self.names or ()) & set(known_robots()):
+            robot = min(robots)
+            raise VariantError(
+                f"{robot} is a robot: --robot {robot} chooses its variants, and {robot}-base is unchanged"
+            )
         if self.names:
             return list(dict.fromkeys(Variant.parse(name) for name in self.names))
         return super().variants()

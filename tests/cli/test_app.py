@@ -130,6 +130,7 @@ def test_verify_fails_on_damage(capsys: pytest.CaptureFixture[str], root: Path) 
         (["show", "hopper-massdec_100_leggeom"], 2, "percent -100"),
         (["show", "hopper-jointinc_25_legjoint"], 2, "can only shrink"),
         (["publish"], 2, "name a variant"),
+        (["publish", "hopper"], 2, "hopper is a robot: --robot hopper chooses its variants"),
         (["publish", "hopper-base", "--episodes", "0"], 2, "--episodes"),
         (["publish", "hopper-base", "--tier", "No Tier"], 2, "malformed tier"),
         (["publish", "ant-base"], 2, "imujoco train ant-base"),
