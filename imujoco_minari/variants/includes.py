@@ -1,4 +1,4 @@
-"""Reads a user's MJCF file as one text, with the files that it includes."""
+"""Reads a user's files: a page, and an MJCF file as one text with the files that it includes."""
 
 from __future__ import annotations
 
@@ -6,10 +6,22 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 from imujoco_minari.errors import CatalogueError
-from imujoco_minari.variants.robots import read_file
 
 # A model of more than 48 KiB is refused later. Comments may make its files longer.
 _MAX_BYTES, _MAX_INCLUDES = 2**20, 100
+
+
+def read_file(path: Path, most: int) -> str:
+    """Return the text of a user's file of at most ``most`` bytes; raise a CatalogueError if there is none."""
+    # A pipe, for example, would wait without end.
+    if not path.is_file():
+        raise CatalogueError(f"{path}: cannot be read: it is no file")
+    try:
+        if path.stat().st_size > most:
+            raise CatalogueError(f"{path}: the file has more than {most} bytes")
+        return path.read_text("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise CatalogueError(f"{path}: cannot be read: {error}") from None
 
 
 def read_model(path: Path) -> str:

@@ -60,26 +60,13 @@ def load_page(robot: str, file: Path) -> None:
             robot is loaded.
     """
     # Only pages of users need an XML parser, which takes time to import.
-    from imujoco_minari.variants.includes import read_model
+    from imujoco_minari.variants.includes import read_file, read_model
 
     page = {"toml": read_file(file, 4 * _MAX_PAGE_CHARACTERS)}
     model = file.with_name(_parse(robot, page, str(file)).model)
     if model.is_file():
         page["mjcf"] = read_model(model)
     adopt_page(robot, page, str(file))
-
-
-def read_file(path: Path, most: int) -> str:
-    """Return the text of a user's file of at most ``most`` bytes; raise a CatalogueError if there is none."""
-    # A pipe, for example, would wait without end.
-    if not path.is_file():
-        raise CatalogueError(f"{path}: cannot be read: it is no file")
-    try:
-        if path.stat().st_size > most:
-            raise CatalogueError(f"{path}: the file has more than {most} bytes")
-        return path.read_text("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise CatalogueError(f"{path}: cannot be read: {error}") from None
 
 
 def keep_fault(robot: str, fault: str) -> None:
