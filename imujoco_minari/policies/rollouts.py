@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from imujoco_minari.policies.actors import Policy
 from imujoco_minari.policies.adapters import BatchAct, batch_act
@@ -89,16 +90,18 @@ def roll_out_together(
 
     active = [lane for lane in range(len(envs)) if begin(lane)]
     steps = [env.step for env in envs]
-    while active:
-        actions = act(np.array([observations[lane] for lane in active]), [rngs[lane] for lane in active])
-        ended = []
-        for lane, action in zip(active, actions, strict=True):
-            observations[lane], reward, terminated, truncated, _ = steps[lane](action)
-            totals[lane] += float(reward)
-            lengths[lane] += 1
-            if terminated or truncated:
-                ended.append(lane)
-        for lane in ended:
-            yield EndedEpisode(numbers[lane], lane, totals[lane], lengths[lane])
-            if not begin(lane):
-                active.remove(lane)
+    # On busy cores, BLAS's threads wait for each other: an action of 16 environments takes 100 times as long.
+    with threadpool_limits(limits=1, user_api="blas"):
+        while active:
+            actions = act(np.array([observations[lane] for lane in active]), [rngs[lane] for lane in active])
+            ended = []
+            for lane, action in zip(active, actions, strict=True):
+                observations[lane], reward, terminated, truncated, _ = steps[lane](action)
+                totals[lane] += float(reward)
+                lengths[lane] += 1
+                if terminated or truncated:
+                    ended.append(lane)
+            for lane in ended:
+                yield EndedEpisode(numbers[lane], lane, totals[lane], lengths[lane])
+                if not begin(lane):
+                    active.remove(lane)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import torch
 from random_actors import random_actor
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import imujoco_minari
 from imujoco_minari import evaluate, make, publish
@@ -93,6 +94,25 @@ def test_the_same_policy_in_every_shape_scores_the_same() -> None:
         np.testing.assert_allclose(result.returns, expected.returns, rtol=1e-6)
     # It was in training mode before, and is in it again.
     assert all(part.training for part in module.modules())
+
+
+def test_episodes_run_on_one_thread_of_blas() -> None:
+    """On busy cores, several threads take up to 100 times as long."""
+
+    def threads() -> set[int]:
+        return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+
+    seen: list[set[int]] = []
+
+    def policy(observation: Any) -> Any:
+        seen.append(threads())
+        return np.zeros(3, np.float32)
+
+    with threadpool_limits(2, user_api="blas"):
+        before = threads()
+        evaluate("hopper-base", policy, episodes=2)
+        assert threads() == before != {1}
+    assert seen[-1] == {1}
 
 
 def test_a_model_of_stable_baselines_acts_deterministically(tmp_path: Path) -> None:
