@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from imujoco_minari.envs.registration import max_episode_steps
 from imujoco_minari.policies import Array
@@ -68,13 +69,15 @@ def _returns(
     lanes = Lanes(variant.robot, count, lambda lane, episode: variant, seed, told=False)
     lanes.restart()
     returns, alive = np.zeros(count), np.ones(count, bool)
-    for _ in range(max_episode_steps(variant.robot) or _STEPS):
-        inputs = np.concatenate([lanes.observations, contexts], axis=1, dtype=np.float32)
-        actions = np.tanh(universal.actor.distribution(inputs)[0])
-        if noise:
-            actions = np.clip(actions + noise * rng.standard_normal(actions.shape), -1.0, 1.0)
-        stepped = lanes.step(actions)
-        returns += alive * stepped.rewards
-        alive &= ~stepped.terminated
+    # On busy cores, BLAS's threads wait for each other.
+    with threadpool_limits(limits=1, user_api="blas"):
+        for _ in range(max_episode_steps(variant.robot) or _STEPS):
+            inputs = np.concatenate([lanes.observations, contexts], axis=1, dtype=np.float32)
+            actions = np.tanh(universal.actor.distribution(inputs)[0])
+            if noise:
+                actions = np.clip(actions + noise * rng.standard_normal(actions.shape), -1.0, 1.0)
+            stepped = lanes.step(actions)
+            returns += alive * stepped.rewards
+            alive &= ~stepped.terminated
     lanes.close()
     return returns
