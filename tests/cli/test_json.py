@@ -50,7 +50,7 @@ SUCCESSES: dict[str, Sequence[str]] = {
 FAILURES: dict[str, Sequence[str]] = {
     "list": ["--robot", "bee"],
     "show": ["hopper-massdec_25_legeom"],
-    "publish": ["ant-base"],
+    "publish": ["humanoid-base"],
     "combine": [BASE_ID, MISSING, "--id", "imujoco/hopper-two-v0"],
     "verify": [BASE_ID, MISSING],
     "delete": [MISSING, "--yes"],
@@ -153,7 +153,7 @@ def test_a_wrong_option_is_one_document(name: str, capsys: pytest.CaptureFixture
 
 
 def test_a_failed_dataset_has_null_for_its_numbers(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["publish", "ant-base", "--json"]) == 2
+    assert run(["publish", "humanoid-base", "--json"]) == 2
     (outcome,) = strict(capsys.readouterr().out)
     assert outcome["return_mean"] is None
     assert outcome["missing"] is True

@@ -161,8 +161,8 @@ def test_the_summary_is_that_of_the_episodes() -> None:
 def test_what_has_no_references_says_so() -> None:
     with pytest.raises(VariantError, match="no variant"):
         _ = evaluate("Hopper-v5", still, episodes=1).scores
-    with pytest.raises(PolicyNotFoundError, match="ant-base has no expert"):
-        _ = evaluate("ant-base", lambda observation: np.zeros(8), episodes=1).scores
+    with pytest.raises(PolicyNotFoundError, match="humanoid-base has no expert"):
+        _ = evaluate("humanoid-base", lambda observation: np.zeros(17), episodes=1).scores
 
 
 class Untouched(gym.Wrapper[Any, Any, Any, Any]):

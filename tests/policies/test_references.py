@@ -52,7 +52,7 @@ def test_minari_computes_the_same_from_a_published_dataset() -> None:
     ("variant", "returns", "error", "message"),
     [
         ("hopper", [1.0], VariantError, "malformed variant id 'hopper'"),
-        ("ant-base", [1.0], PolicyNotFoundError, "no expert"),
+        ("humanoid-base", [1.0], PolicyNotFoundError, "no expert"),
         ([BASE, LEG], [1.0], ArgumentError, r"the returns have the shape \(1,\)"),
         ([BASE, LEG], 1.0, ArgumentError, "one variant for each return"),
         (None, [1.0], ArgumentError, "one variant for each return"),

@@ -47,7 +47,7 @@ def test_a_missing_collection_is_made_of_what_is_there_and_what_is_not(
         ("imujoco/hopper-mine-v0", DatasetNotFoundError, "minari list local"),
         ("D4RL/door/human-v2", DatasetNotFoundError, "minari list local"),
         ("imujoco/hopper-base-best-v0", PolicyNotFoundError, "no policy makes the tier 'best'"),
-        ("imujoco/ant-base-v0", PolicyNotFoundError, "imujoco train"),
+        ("imujoco/humanoid-base-v0", PolicyNotFoundError, "imujoco train"),
         ("hopper-base", DatasetIdError, "malformed dataset id"),
         (None, DatasetIdError, "malformed dataset id"),
     ],

@@ -254,7 +254,7 @@ def test_many_are_published_and_a_failure_among_them_is_told(root: Path, actor: 
 
 def test_a_failure_leaves_nothing_behind(root: Path) -> None:
     with pytest.raises(PolicyNotFoundError, match="train one"):
-        publish("ant-base")
+        publish("humanoid-base")
     assert not list(root.rglob("*.hdf5"))
     assert minari.list_local_datasets() == {}
 

@@ -95,8 +95,8 @@ def test_medium_replay_takes_a_seed_only(capsys: pytest.CaptureFixture[str]) -> 
     for options in ({"episodes": 20}, {"stochastic": True}, {"policy": Path("sac.zip")}):
         with pytest.raises(DatasetError, match="is a training run: it takes a seed, but no number of"):
             Recipe(base, "medium-replay", **options)  # type: ignore[arg-type]
-    with pytest.raises(PolicyNotFoundError, match="ant-base has no expert"):
-        publish("ant-base", tier="medium-replay")
+    with pytest.raises(PolicyNotFoundError, match="humanoid-base has no expert"):
+        publish("humanoid-base", tier="medium-replay")
     with pytest.raises(DatasetError, match="a training run on one variant, not on ranges"):
         publish(Ranges("hopper", {"mass/torsogeom": (-50, 50)}), tier="medium-replay")
     assert run(["publish", "hopper-base", "--tier", "medium-replay", "--dry-run"]) == 0
