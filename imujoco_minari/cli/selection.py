@@ -78,7 +78,8 @@ class VariantChoice(Filters):
         if robots := set(self.names or ()) & set(known_robots()):
             robot = min(robots)
             raise VariantError(
-                f"{robot} is a robot: --robot {robot} chooses its variants, and {robot}-base is unchanged"
+                f"{robot} is a robot: --robot {robot} chooses its variants, "
+                f"and {robot}-base is the unchanged robot"
             )
         if self.names:
             return list(dict.fromkeys(Variant.parse(name) for name in self.names))
