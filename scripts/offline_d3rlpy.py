@@ -87,7 +87,8 @@ class _OfD3rlpy:
             own = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
             subprocess.run([python, __file__, folder], check=True, env=own)
             return {
-                updates: torch.jit.load(str(Path(folder, f"{updates}.pt"))) for updates in self.checkpoints
+                updates: torch.jit.load(str(Path(folder, f"{updates}.pt")), map_location="cpu")
+                for updates in self.checkpoints
             }
 
 
@@ -161,7 +162,9 @@ def train(folder: Path) -> None:
             action_space=d3rlpy.ActionSpace.CONTINUOUS,
         )
     d3rlpy.seed(seed)
-    algorithm = getattr(d3rlpy.algos, name)(**job).create()
+    # Without compiled graphs, a GPU is hardly faster than a core.
+    gpu = torch.cuda.is_available()
+    algorithm = getattr(d3rlpy.algos, name)(**job, compile_graph=gpu).create(gpu)
 
     def save(algorithm: Any, epoch: int, updates: int) -> None:
         if updates in checkpoints:
