@@ -18,7 +18,15 @@ from typing import Any
 import numpy as np
 
 from imujoco_minari.benchmark import protocol
-from imujoco_minari.benchmark.lines import Line, data_sha256, policies_sha256, references, run_lines, versions
+from imujoco_minari.benchmark.lines import (
+    Line,
+    data_sha256,
+    named,
+    policies_sha256,
+    references,
+    run_lines,
+    versions,
+)
 from imujoco_minari.benchmark.methods import COMPARISONS, Method, NewMethod, settings_of
 from imujoco_minari.benchmark.protocol import Budget, draw_demonstrations, episode_returns, relative_error
 from imujoco_minari.errors import BenchmarkChoiceError, BenchmarkError, JobError
@@ -29,7 +37,7 @@ from imujoco_minari.variants import EXPERT, HeldOut, Variant
 
 FILE = "few-shot.jsonl"
 # The attributes that name a cell. A line adds settings, digests and versions.
-CELL = ("protocol", "method", "split", "tier", "variant", "budget", "seed")
+CELL = ("protocol", "method", "split", "tier", "train_tier", "variant", "budget", "seed")
 
 # Processor time of one core.
 SECONDS_PER_CELL = {"set-encoder": 0.9, "history": 12.0} | dict.fromkeys(COMPARISONS, 0.9)
@@ -68,6 +76,10 @@ class FewShotGrid:
         unknown = sorted(set(self.variants or ()) - held_out)
         if unknown:
             raise BenchmarkChoiceError(f"{unknown[0]} is not held out; valid: {', '.join(sorted(held_out))}")
+        for split in self.splits:
+            if len(split.robots) > 1:
+                found = ", ".join(split.robots)
+                raise BenchmarkChoiceError(f"{split.name} has several robots ({found}); valid: splits of one")
 
     def held_out(self, split: HeldOut) -> list[str]:
         """Return the held-out variants of a split that are in the grid."""
@@ -219,16 +231,28 @@ def _run_task(work: tuple[Method, list[Line]]) -> list[Line]:
         adapted = method.adapt(demonstrations)
         adapting = time.process_time() - start
         found = {}
-        for steps, policy in (adapted if isinstance(adapted, Mapping) else {0: adapted}).items():
-            # Several budgets share the policy after 0 steps.
-            digest = getattr(policy, "sha256", None)
-            returns = evaluated.get(digest) or episode_returns(policy, variant, line["episodes"])
-            if digest is not None:
-                evaluated[digest] = returns
-            found[str(steps)] = {"returns": returns, "error": relative_error(policy, query)}
+        with named(line):
+            for steps, policy in _by_steps(adapted).items():
+                # Several budgets share the policy after 0 steps.
+                digest = getattr(policy, "sha256", None)
+                returns = evaluated.get(digest) or episode_returns(policy, variant, line["episodes"])
+                if digest is not None:
+                    evaluated[digest] = returns
+                found[str(steps)] = {"returns": returns, "error": relative_error(policy, query)}
         seconds = [round(adapting, 2), round(time.process_time() - start - adapting, 2)]
         lines.append({**line, "references": references(variant), "results": found, "seconds": seconds})
     return lines
+
+
+def _by_steps(adapted: Any) -> Mapping[int, Any]:
+    """Return what ``adapt`` returned as policies by their numbers of gradient steps."""
+    policies = adapted if isinstance(adapted, Mapping) else {0: adapted}
+    if not policies or not all(isinstance(steps, int | np.integer) and steps >= 0 for steps in policies):
+        found = ", ".join(map(repr, policies)) or "none"
+        raise BenchmarkError(
+            f"adapt() returned policies after these steps: {found}; valid: whole numbers from 0"
+        )
+    return policies
 
 
 def _dataset_id(task: Sequence[Line]) -> str:

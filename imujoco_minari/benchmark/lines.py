@@ -11,14 +11,21 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from functools import cache
 from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from imujoco_minari.errors import BenchmarkError, JobError, PolicyNotFoundError, StorageError
+from imujoco_minari.errors import (
+    BenchmarkError,
+    ImujocoError,
+    JobError,
+    PolicyNotFoundError,
+    StorageError,
+    clipped,
+)
 from imujoco_minari.parallel import run_jobs
 from imujoco_minari.policies import expert_actor
 from imujoco_minari.policies.references import reference_scores
@@ -40,18 +47,26 @@ _DECIDES = ("source_sha256", "seed", "policy_sha256", "policy_deterministic", "h
 _PACKAGES = ("imujoco-minari", "mujoco", "gymnasium", "numpy", "jax", "optax")
 
 
-def read_lines(path: Path) -> list[Line]:
+def _has_results(line: Line) -> None:
+    line["results"].items()
+
+
+def read_lines(path: Path, check: Callable[[Line], object] = _has_results) -> list[Line]:
     """Return the lines of a results file; none if it does not exist.
 
     The last entry may be incomplete, because a run was killed: it is left out.
 
+    Args:
+        path: the file.
+        check: called with each line. It raises an error if the line is not a result.
+
     Raises:
         BenchmarkError: if another entry is malformed.
     """
-    return _read(path)[0]
+    return _read(path, check)[0]
 
 
-def _read(path: Path) -> tuple[list[Line], dict[str, Line]]:
+def _read(path: Path, check: Callable[[Line], object]) -> tuple[list[Line], dict[str, Line]]:
     """Return the lines of a results file, and the facts that it states by name."""
     lines: list[Line] = []
     facts: dict[str, Line] = {}
@@ -64,10 +79,16 @@ def _read(path: Path) -> tuple[list[Line], dict[str, Line]]:
     for number, text in enumerate(whole, start=1):
         try:
             if (line := parsed(text, facts)) is not None:
-                line["results"].items()
+                check(line)
                 lines.append(line)
-        except (ValueError, KeyError, AttributeError):
-            raise BenchmarkError(f"{path}, line {number}: not a result of the benchmark") from None
+        except KeyError as error:
+            raise BenchmarkError(
+                f"{path}, line {number}: not a result of the benchmark: it has no {error.args[0]}"
+            ) from None
+        except (ValueError, TypeError, AttributeError) as error:
+            raise BenchmarkError(
+                f"{path}, line {number}: not a result of the benchmark: {clipped(str(error))}"
+            ) from None
     return lines, facts
 
 
@@ -158,7 +179,7 @@ def run_lines(
     Raises:
         StorageError: if a line cannot be written.
     """
-    lines, facts = _read(path)
+    lines, facts = _read(path, _has_results)
     known, stated = {identity(line): line for line in lines}, set(facts)
     # A cell that is asked for twice is computed once.
     asked = {identity(line): line for line in wanted}
@@ -185,6 +206,16 @@ def measure_each(measure: Callable[[Line], Line], jobs: int, lines: Sequence[Lin
         if isinstance(line, JobError):
             raise BenchmarkError(f"{lines[number]['method']}, seed {lines[number]['seed']}: {line}")
         yield line
+
+
+@contextmanager
+def named(line: Line) -> Iterator[None]:
+    """Put the cell of a line before the errors of this package that are raised inside."""
+    try:
+        yield
+    except ImujocoError as error:
+        where = [line["method"], line.get("variant") or f"{line['robot']} {line['tier']}", line.get("budget")]
+        raise BenchmarkError(f"{', '.join(filter(None, where))}, seed {line['seed']}: {error}") from None
 
 
 def latest(lines: Iterable[Line], keys: tuple[str, ...]) -> list[Line]:

@@ -11,7 +11,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from importlib import import_module
+from inspect import signature
 from typing import Any, Protocol
+
+import numpy as np
 
 from imujoco_minari.benchmark.cloning import BaseExpert, MultiVariant, Scratch
 from imujoco_minari.benchmark.history import History
@@ -99,11 +102,11 @@ COMPARISONS = ("told", "universal", "random", "expert")
 BOUNDS = ("universal", "random", "expert")
 
 
-def find_method(name: str, known: Mapping[str, Any] = METHODS) -> Any:
+def find_method(name: str, known: Mapping[str, Any] = METHODS, does: str = "adapt(demonstrations)") -> Any:
     """Return the method or algorithm of a name, or the class that ``module:Class`` names.
 
     Raises:
-        BenchmarkChoiceError: if neither exists.
+        BenchmarkChoiceError: if neither exists, or the class does not have what it ``does``.
     """
     module, _, own = name.partition(":")
     if own:
@@ -111,6 +114,8 @@ def find_method(name: str, known: Mapping[str, Any] = METHODS) -> Any:
             found = getattr(import_module(module), own)
             if not isinstance(found, type):
                 raise TypeError(f"{own} is not a class")
+            if not callable(getattr(found, does.partition("(")[0], None)):
+                raise TypeError(f"{own} has no method {does}")
             return found
         except (ImportError, AttributeError, TypeError, ValueError) as error:
             raise BenchmarkChoiceError(f"no method {clipped(name)!r}: {error}") from None
@@ -126,7 +131,12 @@ def with_settings(new: NewMethod, settings: Sequence[str]) -> NewMethod:
         BenchmarkChoiceError: if the method has no such setting.
         BenchmarkError: if the value is not a number, or not a whole one where the method has one.
     """
-    numbers = {name: value for name, value in settings_of(new(0)).items() if type(value) in (int, float)}
+    arguments = signature(new).parameters
+    numbers = {
+        name: value
+        for name, value in settings_of(new(0)).items()
+        if type(value) in (int, float) and name in arguments
+    }
     changed = {}
     for text in settings:
         name, _, value = text.partition("=")
@@ -135,20 +145,22 @@ def with_settings(new: NewMethod, settings: Sequence[str]) -> NewMethod:
         kind = type(numbers[name])
         try:
             changed[name] = kind(value)
-            finite = math.isfinite(changed[name])
+            valid = 0 <= changed[name] < math.inf
         except ValueError:
-            finite = False
-        if not finite:
+            valid = False
+        if not valid:
             whole = "whole" if kind is int else "finite"
-            raise BenchmarkError(f"{clipped(text)!r} is not a {whole} number")
+            raise BenchmarkError(f"{clipped(text)!r} is not a {whole} number from 0")
     return partial(new, **changed)
 
 
 def settings_of(method: object) -> dict[str, Any]:
-    """Return the settings of a new method, for its lines: its attributes that are plain values or tuples."""
-    plain = (bool, int, float, str, tuple)
-    return {
-        name: list(value) if isinstance(value, tuple) else value
-        for name, value in vars(method).items()
-        if isinstance(value, plain) and name != "seed" and not name.startswith("_")
-    }
+    """Return the settings of a new method, for its lines: its attributes of plain values and sequences."""
+    found = {}
+    for name, value in vars(method).items():
+        if name != "seed" and not name.startswith("_"):
+            values = value if isinstance(value, list | tuple) else [value]
+            plain = [each.item() if isinstance(each, np.generic) else each for each in values]
+            if all(isinstance(each, bool | int | float | str) for each in plain):
+                found[name] = plain if values is value else plain[0]
+    return found

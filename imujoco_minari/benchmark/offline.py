@@ -25,6 +25,7 @@ from imujoco_minari.benchmark.lines import (
     data_sha256,
     identity,
     measure_each,
+    named,
     policies_sha256,
     read_lines,
     references,
@@ -282,10 +283,14 @@ def _run_cell(grid: OfflineGrid, line: Line) -> Line:
     policies = grid.methods[line["method"]](line["seed"], tuple(line["checkpoints"])).train(data)
     training = _seconds() - start
     found: dict[str, dict[str, Any]] = {}
-    for variant, (updates, policy) in product(acted_in, policies.items()):
-        own = policy.fold(variant) if isinstance(policy, UniversalPolicy) else policy
-        returns = episode_returns(own, variant, line["episodes"])
-        found.setdefault(str(variant), {})[str(updates)] = {"returns": returns}
+    with named(line):
+        if not isinstance(policies, Mapping) or sorted(policies) != line["checkpoints"]:
+            wanted = ", ".join(map(str, line["checkpoints"]))
+            raise BenchmarkError(f"train() must return a policy after each of these updates: {wanted}")
+        for variant, (updates, policy) in product(acted_in, policies.items()):
+            own = policy.fold(variant) if isinstance(policy, UniversalPolicy) else policy
+            returns = episode_returns(own, variant, line["episodes"])
+            found.setdefault(str(variant), {})[str(updates)] = {"returns": returns}
     return {
         **line,
         "references": _references(line),

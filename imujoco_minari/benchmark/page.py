@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 from imujoco_minari.benchmark import few_shot, offline, protocol, reproduction
@@ -17,7 +17,14 @@ from imujoco_minari.benchmark.figures import (
     reproduction_figures,
 )
 from imujoco_minari.benchmark.lines import Line, is_of_earlier_experts, latest, read_lines
-from imujoco_minari.benchmark.scores import OTHERS_MARK, MethodScore, few_shot_scores, offline_scores
+from imujoco_minari.benchmark.scores import (
+    OTHERS_MARK,
+    MethodScore,
+    few_shot_scores,
+    few_shot_values,
+    offline_scores,
+    offline_values,
+)
 from imujoco_minari.benchmark.submissions import check_submission
 from imujoco_minari.benchmark.tables import (
     across_tables,
@@ -49,9 +56,22 @@ CELLS = {
     offline.ACROSS_FILE: offline.CELL,
     reproduction.FILE: reproduction.CELL,
 }
+# What shows that a line can be scored.
+_VALUES: dict[str, Callable[[Line], object]] = {
+    few_shot.FILE: few_shot_values,
+    offline.FILE: offline_values,
+    offline.ACROSS_FILE: offline_values,
+    reproduction.FILE: lambda line: reproduction.comparison([line]),
+}
 # What each line has, and what of it names figures and stands on the page.
-_ENTRIES = ("protocol", "method", "settings", "seed", "versions", "results")
-_NAMES = ("method", "split", "tier", "robot", "budget")
+_ENTRIES = ("protocol", "method", "settings", "seed", "versions", "results", "data_sha256")
+_DECIDED = {
+    few_shot.FILE: (protocol.NAME, "train_sha256", "policies_sha256"),
+    offline.FILE: (offline.NAME, "variants", "policies_sha256"),
+    offline.ACROSS_FILE: (offline.ACROSS, "variants", "policies_sha256"),
+    reproduction.FILE: (reproduction.NAME, "train_sha256"),
+}
+_NAMES = ("method", "split", "tier", "train_tier", "robot", "budget")
 _NAME = re.compile(r"[\w%+.:,=() -]{1,100}")
 
 
@@ -145,27 +165,36 @@ def read_results(folder: Path) -> Results:
     Raises:
         BenchmarkError: if the folder has none, a line is not a result, or lines of others have a fault.
     """
-    own = Results(*(_latest(folder / name, cell) for name, cell in CELLS.items()))
+    own = Results(
+        *(latest(read_lines(folder / name, partial(_check, name)), cell) for name, cell in CELLS.items())
+    )
     found = replace(own, others=list(_others(folder / "others")))
     if not found.all():
         raise BenchmarkError(f"{folder} has no results: `imujoco benchmark few-shot` computes some")
     return found
 
 
-def _latest(file: Path, cell: tuple[str, ...]) -> list[Line]:
-    """Return the last line of each cell in a file. Their names are safe in file names and in Markdown."""
-    lines = read_lines(file)
-    for number, line in enumerate(lines, start=1):
-        for key in (*_ENTRIES, *cell):
-            if key not in line:
-                raise BenchmarkError(f"{file}, line {number}: not a result of the benchmark: it has no {key}")
-        for key in _NAMES:
-            if key in line and not (isinstance(line[key], str) and _NAME.fullmatch(line[key])):
-                raise BenchmarkError(
-                    f"{file}, line {number}: {key} is {clipped(ascii(line[key]))}; valid: letters, digits, "
-                    "spaces and _ % + . : , = ( ) -"
-                )
-    return latest(lines, cell)
+def _check(name: str, line: Line) -> None:
+    """Check that a line of a file can be scored, and that its names are safe in file names and in Markdown.
+
+    Raises:
+        KeyError: if it lacks an entry.
+        ValueError: if one is not valid.
+    """
+    wanted, *decided = _DECIDED[name]
+    for key in (*_ENTRIES, *decided, *(key for key in CELLS[name] if key != "train_tier")):
+        line[key]
+    if line["protocol"] != wanted:
+        raise ValueError(f"its protocol is not {wanted}")
+    for key in _NAMES:
+        if key in line and not (isinstance(line[key], str) and _NAME.fullmatch(line[key])):
+            raise ValueError(
+                f"{key} is {clipped(ascii(line[key]))}; valid: letters, digits, spaces and _%+.:,=()-"
+            )
+    if type(line["seed"]) is not int:
+        raise ValueError("its seed is not a whole number")
+    dict(line["versions"])
+    _VALUES[name](line)
 
 
 def _others(folder: Path) -> Iterator[Line]:

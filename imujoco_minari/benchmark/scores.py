@@ -21,7 +21,6 @@ import numpy as np
 from imujoco_minari.benchmark import offline, protocol
 from imujoco_minari.benchmark.lines import Line
 from imujoco_minari.benchmark.methods import COMPARISONS, METHODS
-from imujoco_minari.errors import BenchmarkError
 from imujoco_minari.policies.aggregates import bootstrap_interval, interquartile_mean
 from imujoco_minari.short_repr import short_repr
 from imujoco_minari.variants import BASE, CATEGORIES, EXPERT, ROBOTS, Variant
@@ -97,13 +96,14 @@ def few_shot_scores(lines: Iterable[Line]) -> list[MethodScore]:
     returns: dict[_Key, _Values] = defaultdict(lambda: defaultdict(dict))
     errors: dict[_Key, list[float]] = defaultdict(list)
     for line in lines:
-        categories = (ALL, Variant.parse(line["variant"]).category)
-        for steps, result in line["results"].items():
-            for each in categories:
-                key = (line["split"], line["tier"], line["method"], line["budget"], int(steps), each)
-                score = normalised_mean(result["returns"], line["references"])
-                returns[key][line["variant"]][line["seed"]] = score
-                errors[key].append(result["error"])
+        variant, tier = line["variant"], line["tier"]
+        if "train_tier" in line:
+            tier += f" (trained on {line['train_tier']})"
+        for steps, score, error in few_shot_values(line):
+            for each in (ALL, Variant.parse(variant).category):
+                key = (line["split"], tier, line["method"], line["budget"], steps, each)
+                returns[key][variant][line["seed"]] = score
+                errors[key].append(error)
     scores = [_score(key, values, float(np.median(errors[key]))) for key, values in returns.items()]
     return list(filter(None, scores))
 
@@ -117,14 +117,29 @@ def offline_scores(lines: Iterable[Line]) -> list[MethodScore]:
     for line in lines:
         across = line["protocol"] == offline.ACROSS
         group = offline.ACROSS_SPLIT.format(line["robot"]) if across else line["robot"]
-        for variant, by_updates in line["results"].items():
+        for variant, updates, score in offline_values(line):
             category = Variant.parse(variant).category
-            for updates, result in by_updates.items():
-                score = normalised_mean(result["returns"], line["references"][variant])
-                for each in (BASE,) if category == BASE else (SHIFTED, category):
-                    key = (group, line["tier"], line["method"], "", int(updates), each)
-                    returns[key][variant][line["seed"]] = score
+            for each in (BASE,) if category == BASE else (SHIFTED, category):
+                key = (group, line["tier"], line["method"], "", updates, each)
+                returns[key][variant][line["seed"]] = score
     return list(filter(None, (_score(key, values, float("nan")) for key, values in returns.items())))
+
+
+def few_shot_values(line: Line) -> list[tuple[int, float, float]]:
+    """Return the gradient steps of a few-shot line, and after each the score and the error of the actions."""
+    return [
+        (int(steps), normalised_mean(result["returns"], line["references"]), float(result["error"]))
+        for steps, result in line["results"].items()
+    ]
+
+
+def offline_values(line: Line) -> list[tuple[str, int, float]]:
+    """Return the score of an offline line in each variant after each number of updates."""
+    return [
+        (variant, int(updates), normalised_mean(result["returns"], line["references"][variant]))
+        for variant, by_updates in line["results"].items()
+        for updates, result in by_updates.items()
+    ]
 
 
 def budgets_of(scores: Sequence[MethodScore]) -> list[str]:
@@ -148,14 +163,13 @@ def normalised_mean(returns: Sequence[float], references: Sequence[float]) -> fl
     """Return the mean of returns on the scale where the references are 0 and 1.
 
     Raises:
-        BenchmarkError: if the references are equal.
+        ValueError: if there are no returns, a number is not finite, or the references are equal.
     """
     low, high = references
+    if not returns or not np.isfinite([low, high, *returns]).all():
+        raise ValueError("its returns and references are not finite numbers")
     if low == high:
-        raise BenchmarkError(
-            f"a line of results cannot be scored: both of its references are {low}; delete the line, and run "
-            "its cell again"
-        )
+        raise ValueError(f"both of its references are {low}, so it cannot be scored; run its cell again")
     return (float(np.mean(returns)) - low) / (high - low)
 
 

@@ -16,7 +16,7 @@ from imujoco_minari.cli.app import FAILED, advancing, app
 from imujoco_minari.cli.estimates import plan, publishing_line, time_text
 from imujoco_minari.cli.options import AsJson, DryRun, Jobs, Output, Tiers, argument, option
 from imujoco_minari.cli.printing import counted, out, print_json, print_table, progress, report, say
-from imujoco_minari.errors import BenchmarkError
+from imujoco_minari.errors import BenchmarkError, DatasetNotFoundError
 from imujoco_minari.variants import EXPERT, ROBOTS, held_out, parse_dataset_id
 
 if TYPE_CHECKING:
@@ -147,7 +147,7 @@ def offline(
     sys.path.insert(0, str(Path.cwd()))
     known = ACROSS_ALGORITHMS if across else ALGORITHMS
     grid = OfflineGrid(
-        {name: find_method(name, known) for name in methods or known},
+        {name: find_method(name, known, "train(arrays)") for name in methods or known},
         robots or ROBOTS,
         tiers or ([SHIFTED_TIER] if across else TIERS),
         range(seeds or SEEDS),
@@ -286,13 +286,26 @@ def _say_changed(lines: Sequence[Line]) -> None:
 
 
 def _recipes(dataset_ids: Sequence[str]) -> list[Recipe]:
-    """Return the recipes of the datasets that this package can make."""
+    """Return the recipes of the datasets that this package can make.
+
+    Raises:
+        DatasetNotFoundError: if a dataset of another tier is not in the root, since its policy is not known.
+    """
     from imujoco_minari.policies.tiers import TIERS
     from imujoco_minari.publishing.recipes import Recipe
+    from imujoco_minari.storage import minari_root
 
-    named = map(parse_dataset_id, dataset_ids)
-    # A tier of the user's own must already be in the root: its policy is not known.
-    return [Recipe(variant, tier) for variant, tier in named if tier in TIERS]
+    recipes = []
+    for dataset_id in dataset_ids:
+        variant, tier = parse_dataset_id(dataset_id)
+        if tier in TIERS:
+            recipes.append(Recipe(variant, tier))
+        elif not minari_root.exists(dataset_id):
+            raise DatasetNotFoundError(
+                f"{dataset_id} is not in the Minari root; make it with "
+                f"`imujoco publish {variant} --tier {tier} --policy FILE`"
+            )
+    return recipes
 
 
 def _publish(recipes: Sequence[Recipe], jobs: int, *, trains: bool = True) -> None:

@@ -17,13 +17,13 @@ from imujoco_minari.benchmark.few_shot import FILE, FewShotGrid, run_few_shot
 from imujoco_minari.benchmark.history import History
 from imujoco_minari.benchmark.lines import Line, append_lines, identity, read_lines, run_lines
 from imujoco_minari.benchmark.meta import Maml, SetEncoder
-from imujoco_minari.benchmark.methods import METHODS, NewMethod, find_method
+from imujoco_minari.benchmark.methods import METHODS, NewMethod, find_method, settings_of, with_settings
 from imujoco_minari.benchmark.protocol import Budget
 from imujoco_minari.errors import BenchmarkError, StorageError
 from imujoco_minari.loading import Arrays
 from imujoco_minari.policies import random_policy
 from imujoco_minari.publishing.publisher import publish
-from imujoco_minari.variants import HeldOut
+from imujoco_minari.variants import HeldOut, held_out
 
 SPLIT = HeldOut(
     "mine", train=["hopper-base", "hopper-massdec_25_leggeom"], test=["hopper-frictiondec_50_feet"]
@@ -162,11 +162,71 @@ def test_a_method_of_a_user_needs_no_more_than_adapt(tmp_path: Path) -> None:
     assert line["results"]["0"]["error"] == 1.0
 
 
+class Returning(Still):
+    """Returns what it is told to."""
+
+    policies: Mapping[str, Any] = {}
+
+    def adapt(self, demonstrations: Arrays) -> Any:
+        return self.policies["mine"]
+
+
+@pytest.mark.usefixtures("small_datasets")
+@pytest.mark.parametrize(
+    ("policies", "fault"),
+    [
+        ({}, "after these steps: none"),
+        ({"a": random_policy("hopper")}, "after these steps: 'a'"),
+        (lambda observation: np.full(3, np.nan), "not finite"),
+    ],
+)
+def test_what_a_method_returns_is_checked_before_it_is_written(
+    tmp_path: Path, policies: Any, fault: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Returning, "policies", {"mine": policies})
+    grid = FewShotGrid({"mine": Returning}, [SPLIT], ["random"], [Budget(1, 5)], [0], episodes=2)
+    with pytest.raises(BenchmarkError, match=f"mine, {SPLIT.test[0]}, 1x5, seed 0: .*{fault}"):
+        run_few_shot(grid, tmp_path)
+    assert not read_lines(tmp_path / FILE)
+
+
+class Settings:
+    """Attributes of many kinds."""
+
+    def __init__(self, seed: int, rate: float = 0.1, steps: int = 5) -> None:
+        self.seed, self.rate, self.steps = seed, rate, steps
+        self.layers, self.size, self.derived = [64, np.int64(8)], np.float32(0.5), 3
+        self.weights, self._hidden = [np.zeros(2)], 1
+
+    def adapt(self, demonstrations: Arrays) -> Any:
+        raise NotImplementedError
+
+
+def test_settings_are_the_plain_attributes_and_those_of_the_constructor_can_change() -> None:
+    plain = {"rate": 0.1, "steps": 5, "layers": [64, 8], "size": 0.5, "derived": 3}
+    assert settings_of(Settings(0)) == plain
+    assert json.loads(json.dumps(settings_of(Settings(0)))) == plain
+    changed = with_settings(Settings, ["rate=0.2", "steps=7"])
+    assert settings_of(changed(0)) == plain | {"rate": 0.2, "steps": 7}
+    with pytest.raises(BenchmarkError, match="no setting 'derived=4'; valid: rate, steps"):
+        with_settings(Settings, ["derived=4"])
+    for text in ("rate=-1", "rate=nan", "rate=inf", "steps=0.5"):
+        with pytest.raises(BenchmarkError, match=f"'{text}' is not a (finite|whole) number from 0"):
+            with_settings(Settings, [text])
+
+
+def test_a_split_of_several_robots_is_refused() -> None:
+    with pytest.raises(BenchmarkError, match="robots-hopper-v1 has several robots"):
+        FewShotGrid({"still": Still}, [held_out("robots-hopper-v1")])
+
+
 def test_methods_are_found_by_name() -> None:
     assert find_method("scratch") is Scratch
     assert find_method("imujoco_minari.benchmark.meta:Maml") is Maml
     with pytest.raises(BenchmarkError, match=r"no method 'scrath' \(did you mean 'scratch'\?\)"):
         find_method("scrath")
+    with pytest.raises(BenchmarkError, match=r"JSONDecoder has no method adapt\(demonstrations\)"):
+        find_method("json:JSONDecoder")
     for name in ("no.such.module:Method", "json:Method", ".meta:Maml", ":Maml"):
         with pytest.raises(BenchmarkError, match="no method"):
             find_method(name)

@@ -14,7 +14,6 @@ from imujoco_minari.benchmark.page import Results, results_page, sections
 from imujoco_minari.benchmark.reproduction import SHOTS, STEPS
 from imujoco_minari.benchmark.scores import few_shot_scores, offline_scores, to_csv
 from imujoco_minari.benchmark.tables import few_shot_tables
-from imujoco_minari.errors import BenchmarkError
 from imujoco_minari.variants import Variant
 
 VARIANTS = ("hopper-massinc_200_leggeom", "hopper-massdec_50_leggeom", "hopper-frictiondec_50_feet")
@@ -210,7 +209,8 @@ def test_the_page_says_that_a_line_is_of_an_earlier_expert(kind: str) -> None:
     assert f"this version ships: {title[kind]}. They" in " ".join(pages[1].split())
 
 
-def test_a_line_with_equal_references_is_named_as_such() -> None:
-    line = few_shot_line("mine", VARIANTS[0], 0, 0.5) | {"references": [7.0, 7.0]}
-    with pytest.raises(BenchmarkError, match="both of its references are"):
-        few_shot_scores([line])
+def test_demonstrators_of_one_tier_after_other_training_data_are_apart() -> None:
+    own = few_shot_line("mine", VARIANTS[0], 0, 0.5) | {"tier": "control"}
+    scores = few_shot_scores([own, own | {"train_tier": "expert"}, own | {"train_tier": "random"}])
+    tiers = {score.tier for score in scores}
+    assert tiers == {"control", "control (trained on expert)", "control (trained on random)"}
