@@ -41,6 +41,10 @@ class CatalogueError(ImujocoError, ValueError):
     """A catalogue file that is malformed or wrong."""
 
 
+class PageNotFoundError(NotFoundError, CatalogueError):
+    """A page or a folder of pages that does not exist."""
+
+
 class ModelError(ImujocoError, ValueError):
     """An MJCF model that cannot be built or compiled."""
 

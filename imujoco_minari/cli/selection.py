@@ -14,7 +14,7 @@ from imujoco_minari.cli import options
 from imujoco_minari.cli.printing import counted
 from imujoco_minari.errors import DatasetNotFoundError, VariantError
 from imujoco_minari.storage import minari_root
-from imujoco_minari.variants import BASE, EXPERT, Variant, catalogue, known_robots
+from imujoco_minari.variants import BASE, EXPERT, Variant, catalogue, known_robots, specification
 
 
 @dataclass(frozen=True)
@@ -52,9 +52,11 @@ class Filters:
         chosen = catalogue(self.robot, self.category)
         if not chosen:
             of = f" of {self.robot}" if self.robot else ""
+            robot, category = self.robot or "hopper", self.category or "mass"
+            body = next(iter(specification(robot).categories[category].bodies))
             raise VariantError(
                 f"the catalogue lists no {self.category or ''} variants{of}; name one with any percent, "
-                "as in hopper-gearinc_50_thighjoint"
+                f"as in {robot}-{category}dec_50_{body}"
             )
         if not self.with_base:
             return list(chosen)

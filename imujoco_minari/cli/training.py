@@ -298,7 +298,7 @@ def export(
 ) -> None:
     """Write a variant's expert for Stable-Baselines3.
 
-    The file is a zip that `stable_baselines3.SAC.load` opens.
+    The file is a zip that `stable_baselines3.SAC.load` opens. Its critics are new: only the actor is trained.
 
     Example: `imujoco policy export hopper-massdec_25_leggeom expert.zip`
     """

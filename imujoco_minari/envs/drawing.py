@@ -198,23 +198,24 @@ class CollectionEnv(DrawingEnv, EzPickle):
         for environment in self._environments.values():
             environment.close()  # type: ignore[no-untyped-call]
 
-    def _choose(self, name: str | None, seed: int) -> VariantEnv:
+    def _choose(self, name: Variant | str | None, seed: int) -> VariantEnv:
         if name is None and self._probabilities is None:
             name = self.variants[self.np_random.integers(len(self.variants))]
         elif name is None:
             name = self.variants[self.np_random.choice(len(self.variants), p=self._probabilities)]
         self._check(name)
-        return self._environment(name)
+        return self._environment(str(name))
 
-    def _check(self, name: str) -> None:
-        if name not in self.variants:
+    def _check(self, name: Variant | str) -> None:
+        if str(name) not in self.variants:
             raise VariantError(
                 f"variant {name!r} is not in this collection{suggestion(str(name)[:80], self.variants)}; "
                 f"it has {len(self.variants)}, from {self.variants[0]} to {self.variants[-1]}"
             )
 
-    def _normalised(self, weights: Mapping[str, float]) -> Array:
+    def _normalised(self, weights: Mapping[Any, float]) -> Array:
         """Return the probability of each variant."""
+        weights = {str(variant): weight for variant, weight in weights.items()}
         for name, weight in weights.items():
             self._check(name)
             if not (isinstance(plain_number(weight), int | float) and 0 <= weight < float("inf")):

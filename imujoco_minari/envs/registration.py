@@ -15,7 +15,7 @@ from typing import Any
 import gymnasium as gym
 from gymnasium.envs.registration import EnvSpec, registry
 
-from imujoco_minari.errors import CatalogueWarning, ImujocoError, VariantError
+from imujoco_minari.errors import ArgumentError, CatalogueWarning, ImujocoError, VariantError
 from imujoco_minari.variants import (
     BASE,
     NAMESPACE,
@@ -80,8 +80,13 @@ def collection_spec(
         name: of the collection, without namespace and version.
         variants: of one robot, or their ids.
         models: id -> MJCF text for each of them, where they are of the original archive.
+
+    Raises:
+        ArgumentError: when ``variants`` is one text or empty.
     """
-    ids = [str(variant) for variant in variants]
+    ids = [] if isinstance(variants, str) else [str(variant) for variant in variants]
+    if not ids:
+        raise ArgumentError(f"{variants!r} is no list of variants; valid: ids or variants of one robot")
     robot = next(iter(ids), "").partition("-")[0]
     if models:
         kwargs: dict[str, Any] = {"models": {variant: models[variant] for variant in ids}}

@@ -149,7 +149,7 @@ def recollect(archive: Archive, variant: OriginalVariant, how: Import) -> Publis
     def write(data: Path) -> None:
         collect(spec, policy, range(how.episodes), how.seed, data, lambda seed: attributes)
 
-    return publish_written(dataset, write, force=how.force)
+    return publish_written(dataset, write, asked, force=how.force)
 
 
 def _origin(what: str, variant: OriginalVariant, rebuilt: bool) -> tuple[str, str]:

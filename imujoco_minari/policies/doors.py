@@ -46,19 +46,23 @@ class Doors:
             state: not used; the policies of this package have no state.
             episode_start: not used.
             deterministic: take the mode of the distribution, or a sample. None for what the policy does.
-            rng: source of the sample; a deterministic action does not use it.
+            rng: source of the sample; None for NumPy's global one, as in Stable-Baselines3, where
+                ``np.random.seed`` sets it. A deterministic action does not use it.
 
         Raises:
-            ArgumentError: when the observation has another length than the policy takes, an action is
-                sampled without ``rng``, or a random policy is asked for a mode.
+            ArgumentError: when the observation has another length than the policy takes, or a random policy
+                is asked for a mode.
 
         Example:
             >>> action, _ = load_policy("hopper-base").predict(observation)  # doctest: +SKIP
         """
         observation = self._fitting(observation)
-        if deterministic is None or deterministic == self.deterministic:
-            return self.act(observation, rng), None
-        return self.changed(deterministic).act(observation, rng), None
+        policy = self
+        if deterministic is not None and deterministic != self.deterministic:
+            policy = self.changed(deterministic)
+        if rng is None and not policy.deterministic:
+            rng = np.random.default_rng(np.random.randint(2**31))
+        return policy.act(observation, rng), None
 
     def _fitting(self, observation: Array) -> Array:
         """Return the observation as an array of a length that the policy takes."""

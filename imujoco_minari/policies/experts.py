@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from imujoco_minari.errors import PolicyError, PolicyNotFoundError, PolicyWarning, VariantError
+from imujoco_minari.errors import PolicyError, PolicyNotFoundError, PolicyWarning, StorageError, VariantError
 from imujoco_minari.policies.actors import Actor
 from imujoco_minari.policies.files import read_actor
 from imujoco_minari.policies.records import read_measured, read_own_record
@@ -144,8 +144,14 @@ def _folded_record(variant: Variant, folder: Path | None = None) -> dict[str, An
 
 
 def keep_measured(variant: Variant, measured: Mapping[str, Any]) -> None:
-    """Keep the evaluations of an expert, beside the user's policies, for :func:`expert_record`."""
-    write_json(_measured_file(variant), dict(measured))
+    """Keep the evaluations of an expert, beside the user's policies, for :func:`expert_record`.
+
+    Where they cannot be written, they are measured again the next time.
+    """
+    try:
+        write_json(_measured_file(variant), dict(measured))
+    except StorageError as error:
+        warnings.warn(f"the evaluation of {variant} is not kept: {error}", PolicyWarning, stacklevel=2)
 
 
 def _measured_file(variant: Variant) -> Path:

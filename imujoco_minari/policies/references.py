@@ -68,6 +68,10 @@ def ladder(variant: Variant) -> Sequence[Rung]:
             rungs.append(rung | {"evaluation": _evaluation(variant, actor, LADDER_SEED, LADDER_EPISODES)})
         evaluated = {name: record[name] for name in ("weights_sha256", "evaluation", "random")}
         keep_measured(variant, evaluated | {"ladder": rungs})
+    if not record:
+        raise PolicyNotFoundError(
+            f"no expert policy exists for {variant}: train one with `imujoco train {variant}`"
+        )
     if not rungs:
         raise PolicyNotFoundError(
             f"no ladder of policies exists for {variant}: `imujoco train {variant.base}` makes one"

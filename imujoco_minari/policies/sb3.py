@@ -39,7 +39,7 @@ def export_zip(variant: Variant, path: Path, actor: Actor | None = None, *, forc
     actor.check(variant.robot)
     activation = getattr(torch.nn, actor.activation)
     env = make(variant)
-    # The smallest buffer: the exported agent has no transitions.
+    # The smallest buffer, because the exported agent has no transitions.
     model = SAC(
         "MlpPolicy",
         env,
@@ -51,6 +51,8 @@ def export_zip(variant: Variant, path: Path, actor: Actor | None = None, *, forc
         model.actor.load_state_dict(state, strict=True)
     except RuntimeError as error:
         raise PolicyError(f"the actor does not fit SAC's network: {error}") from None
+    # What `SAC.load` makes: the usual size, so that training can go on.
+    model.buffer_size = 1_000_000
     path = path if path.suffix == ".zip" else path.with_suffix(path.suffix + ".zip")
     try:
         with new_target(path, force=force) as staged:

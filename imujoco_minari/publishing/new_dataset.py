@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -71,13 +71,19 @@ def publish_episodes(
             for episode in episodes:
                 writer.add(episode)
 
-    return publish_written(dataset, write, force=force)
+    return publish_written(dataset, write, origin, force=force)
 
 
-def publish_written(dataset: NewDataset, write: Callable[[Path], object], *, force: bool) -> Published:
+def publish_written(
+    dataset: NewDataset, write: Callable[[Path], object], asked: Mapping[str, Any], *, force: bool
+) -> Published:
     """Publish a dataset as :func:`publish_episodes` does.
 
-    A function writes the episodes, as a Minari storage, into the new folder that it is given.
+    Args:
+        dataset: the dataset, without its episodes.
+        write: writes the episodes, as a Minari storage, into the new folder that it is given.
+        asked: see :func:`find_published`. It judges a dataset that another process publishes meanwhile.
+        force: replace the dataset that has the id.
     """
     start = time.monotonic()
     with transactions.staging(dataset.dataset_id) as folder:
@@ -85,7 +91,10 @@ def publish_written(dataset: NewDataset, write: Callable[[Path], object], *, for
         staged.mkdir()
         write(staged / "data")
         created = _check_and_commit(staged, dataset, force)
-    return _read_outcome(dataset.dataset_id, created=created, seconds=time.monotonic() - start)
+    found = None if created else find_published(dataset.dataset_id, asked, force=False)
+    return replace(
+        found or _read_outcome(dataset.dataset_id, created=created), seconds=time.monotonic() - start
+    )
 
 
 def find_published(dataset_id: str, asked: Mapping[str, Any], *, force: bool) -> Published | None:

@@ -153,7 +153,7 @@ def publish_recipe(
     )
     dataset = NewDataset(recipe.dataset_id, recipe.attributes, canonical_mjcf(recipe.nominal), metadata)
     made = publish_written(
-        dataset, lambda data: record_shares(recipe, made_by, data, jobs, on_episode), force=force
+        dataset, lambda data: record_shares(recipe, made_by, data, jobs, on_episode), stated, force=force
     )
     return replace(made, seconds=time.monotonic() - start)
 

@@ -115,7 +115,7 @@ def record_training(
         )
     metadata = _dataset_metadata(task, run.progress) | asked
     dataset = NewDataset(dataset_id, attributes, canonical_mjcf(task.variant), metadata)
-    published = publish_written(dataset, lambda data: shutil.move(recorded, data), force=force)
+    published = publish_written(dataset, lambda data: shutil.move(recorded, data), asked, force=force)
     shutil.rmtree(folder)
     return replace(published, seconds=time.monotonic() - start)
 

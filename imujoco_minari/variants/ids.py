@@ -88,6 +88,11 @@ class Variant:
                     f"{clipped(text)!r} is a dataset id, not a variant id; its variant is "
                     f"{clipped(str(cls.parse(variant_id)))!r}"
                 )
+            if robot in known_robots() and rest in ("all", "randomised", *specification(robot).categories):
+                raise VariantError(
+                    f"{clipped(text)!r} names several variants, and one is needed; "
+                    f"`imujoco list --robot {robot}` lists them"
+                )
             known = (str(each) for robot in known_robots() for each in (*_listed(robot), Variant(robot)))
             near = suggestion(name[:80], known)
             raise VariantError(f"malformed variant id {clipped(text)!r}{near}; {GRAMMAR}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
-from imujoco_minari.errors import CatalogueError
+from imujoco_minari.errors import CatalogueError, PageNotFoundError
 
 # A model of more than 48 KiB is refused later. Comments may make its files longer.
 _MAX_BYTES, _MAX_INCLUDES = 2**20, 100
@@ -13,6 +13,8 @@ _MAX_BYTES, _MAX_INCLUDES = 2**20, 100
 
 def read_file(path: Path, most: int) -> str:
     """Return the text of a user's file of at most ``most`` bytes; raise a CatalogueError if there is none."""
+    if not path.exists():
+        raise PageNotFoundError(f"{path}: cannot be read: no such file or folder")
     # A pipe, for example, would wait without end.
     if not path.is_file():
         raise CatalogueError(f"{path}: cannot be read: it is no file")

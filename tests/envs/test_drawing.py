@@ -92,7 +92,7 @@ def test_the_observed_context_is_appended_to_the_variants_own_observation() -> N
     action = np.full(6, 0.2, dtype=np.float32)
     for name in ("walker2d-jointdec_25_legjoint", "walker2d-jointdec_50_footleftjoint"):
         own = imujoco_minari.make(name)
-        observation, info = env.reset(seed=4, options={"variant": name})
+        observation, info = env.reset(seed=4, options={"variant": Variant.parse(name)})
         assert np.array_equal(observation, np.append(own.reset(seed=4)[0], info["context"]))
         observation, _, _, _, info = env.step(action)
         assert np.array_equal(observation, np.append(own.step(action)[0], info["context"]))
@@ -101,7 +101,7 @@ def test_the_observed_context_is_appended_to_the_variants_own_observation() -> N
 
 def test_variants_are_drawn_by_their_weights() -> None:
     rare, common, never = catalogue("hopper", "friction")
-    weights = {str(rare): 0.25, str(never): np.int64(0)}
+    weights = {rare: 0.25, str(never): np.int64(0)}
     env = gym.make("imujoco/hopper-friction-v0", weights=weights)
     drawn = [env.reset(seed=seed)[1]["variant"] for seed in range(500)]
     assert set(drawn) == {str(rare), str(common)}

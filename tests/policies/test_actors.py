@@ -46,6 +46,8 @@ def test_an_exported_zip_predicts_as_the_actor_acts_and_reads_back(
     for observation in observations:
         predicted, _ = model.predict(observation, deterministic=True)
         assert actor.act(observation, rng) == pytest.approx(predicted, abs=1e-5)
+    # Training can go on: the loaded model has the usual buffer.
+    assert model.buffer_size == model.replay_buffer.buffer_size == 1_000_000
     read = read_actor(path)
     assert read.sha256 == actor.sha256
     assert read.activation == activation

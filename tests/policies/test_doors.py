@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from stable_baselines3.common.monitor import Monitor
 
+import imujoco_minari
 from imujoco_minari import load_policy
 from imujoco_minari.errors import ArgumentError
 
@@ -39,6 +41,21 @@ def test_a_policy_that_samples_asks_for_rng_by_name() -> None:
         stochastic.predict(OBSERVATIONS, deterministic=True)[0],  # type: ignore[attr-defined]
         load_policy("hopper-base")(OBSERVATIONS),  # type: ignore[operator]
     )
+
+
+def test_predict_samples_from_numpys_global_source_as_in_stable_baselines3() -> None:
+    from stable_baselines3.common.evaluation import evaluate_policy
+    from stable_baselines3.common.utils import set_random_seed
+
+    env = Monitor(imujoco_minari.make("hopper-base"))
+    for policy in (load_policy("hopper-base", stochastic=True), load_policy("hopper-base", tier="random")):
+        returns = []
+        for seed in (7, 7, 8):
+            set_random_seed(seed)
+            env.reset(seed=0)
+            returns.append(evaluate_policy(policy, env, 1, deterministic=False)[0])
+        assert returns[0] == returns[1] != returns[2]
+    env.close()
 
 
 def test_a_random_policy_acts_for_a_batch_and_has_no_mode() -> None:

@@ -183,5 +183,5 @@ def test_a_tier_that_cannot_be_made_says_what_can() -> None:
         made("replay", 1)
     with pytest.raises(PolicyNotFoundError, match=r"with `imujoco publish \S+ --tier medium-replay`"):
         made("medium-replay", 1)
-    with pytest.raises(PolicyNotFoundError, match="no ladder of policies exists for humanoid-base"):
+    with pytest.raises(PolicyNotFoundError, match="no expert policy exists for humanoid-base: train one"):
         parts(Variant("humanoid"), "medium", 1, path=None, stochastic=False)

@@ -26,6 +26,7 @@ from imujoco_minari.errors import (
     PolicyNotFoundError,
 )
 from imujoco_minari.policies import RandomPolicy, read_actor
+from imujoco_minari.publishing import publisher
 from imujoco_minari.publishing.combiner import combine_datasets
 from imujoco_minari.publishing.publisher import publish, publish_all
 from imujoco_minari.publishing.recipes import Recipe
@@ -271,3 +272,22 @@ def test_random_data_spans_the_action_space_and_repeats() -> None:
 def test_a_recipe_that_makes_no_sense_is_refused(fields: dict[str, int]) -> None:
     with pytest.raises(ArgumentError):
         Recipe(Variant.parse("hopper-base"), **fields)
+
+
+@pytest.mark.parametrize("episodes", [2, 3])
+def test_a_publisher_that_another_one_overtakes_says_what_it_finds(
+    monkeypatch: pytest.MonkeyPatch, episodes: int
+) -> None:
+    write = publisher.record_shares
+
+    def overtaken(recipe: Recipe, *args: Any) -> None:
+        monkeypatch.setattr(publisher, "record_shares", write)
+        publish("hopper-base", tier="random", episodes=episodes)
+        write(recipe, *args)
+
+    monkeypatch.setattr(publisher, "record_shares", overtaken)
+    if episodes == 2:
+        assert not publish("hopper-base", tier="random", episodes=2).created
+    else:
+        with pytest.raises(DatasetExistsError, match="it has 3 episodes; you asked for 2 episodes"):
+            publish("hopper-base", tier="random", episodes=2)

@@ -156,6 +156,8 @@ def test_any_text_is_a_variant_or_a_variant_error(text: str) -> None:
         ),
         ("hopper-leggeom", ["malformed", "as in hopper-massdec_25_leggeom"]),
         ("hopper", ["malformed"]),
+        ("hopper-mass", ["names several variants", "`imujoco list --robot hopper` lists them"]),
+        ("hopper-randomised", ["names several variants"]),
         ("../hopper-base", ["unknown robot '../hopper'"]),
         ("", ["malformed"]),
     ],
@@ -184,7 +186,7 @@ def test_a_wrong_id_says_what_is_wrong_and_what_is_right(text: str, words: list[
         ),
         ("imujoco/hopper-base-Random-v0", ["malformed tier 'Random'"]),
         ("imujoco/hoper-base-v0", ["unknown robot 'hoper'", "did you mean 'hopper'"]),
-        ("imujoco/hopper-all-v0", ["malformed variant id 'hopper-all'"]),
+        ("imujoco/hopper-all-v0", ["'hopper-all' names several variants"]),
     ],
 )
 def test_only_the_dataset_id_of_a_variant_is_one(text: str, words: list[str]) -> None:

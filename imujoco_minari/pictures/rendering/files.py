@@ -56,6 +56,8 @@ def write_picture(path: Path, picture: Image.Image) -> None:
 def _write_mp4(path: Path, pictures: Iterator[Image.Image], per_second: float, quality: int) -> None:
     import imageio_ffmpeg
 
+    # A folder that cannot be written is found here: ffmpeg's own error is a page long.
+    path.touch()
     first = next(pictures)
     # H.264's usual colour format halves the resolution of colour, so it requires even sizes.
     width, height = first.width // 2 * 2, first.height // 2 * 2
@@ -71,7 +73,10 @@ def _write_mp4(path: Path, pictures: Iterator[Image.Image], per_second: float, q
     writer.send(None)
     try:
         for picture in chain((first,), pictures):
-            writer.send(picture.crop((0, 0, width, height)).tobytes())
+            try:
+                writer.send(picture.crop((0, 0, width, height)).tobytes())
+            except OSError:
+                raise OSError("ffmpeg ended early; is the disk full?") from None
     finally:
         writer.close()
 
