@@ -463,9 +463,12 @@ def test_few_shot_scores_stand_on_the_pages_of_their_variants(
         "tier": "expert",
         "split": "hopper-extremes-v1",
         "budget": "5x100",
-        "protocol": "p",
+        "protocol": "few-shot-v1",
         "settings": {},
         "versions": {},
+        "data_sha256": "",
+        "train_sha256": "",
+        "policies_sha256": "",
     }
     returns = {"0": {"returns": [100.0, 200.0], "error": 1.0}, "25": {"returns": [300.0], "error": 1.0}}
     lines = [
