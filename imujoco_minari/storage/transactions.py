@@ -151,8 +151,10 @@ def _discard(folder: Path, lock: int) -> None:
         shutil.rmtree(folder, ignore_errors=True)
     os.close(lock)
     if removable:
-        # NFS renames a removed file that is open, and removes it when it is closed.
-        shutil.rmtree(folder, ignore_errors=True)
+        # NFS renames a removed file that is open, and removes it when it is closed. Another process may have
+        # locked the folder since its old lock was removed, so only an empty one goes.
+        with suppress(OSError):
+            folder.rmdir()
 
 
 def commit(staged: Path, dataset_id: str, *, replace: bool = False) -> Path:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import minari
+import pytest
 from minari import namespace
 
 from imujoco_minari.storage import transactions
@@ -82,6 +84,23 @@ def test_many_writers_and_a_reader(root: Path) -> None:
     assert result["lists"] > 0
     assert not (root / transactions.STAGING).exists()
     assert not list(root.rglob(".*"))
+
+
+def test_a_folder_that_another_process_has_locked_meanwhile_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, lock = transactions._make_locked_folder(tmp_path, "")
+    remove = shutil.rmtree
+
+    def overtaken(path: Path, *, ignore_errors: bool) -> None:
+        # The lock is removed. Before the folder is, another process makes a lock of its own.
+        monkeypatch.setattr(shutil, "rmtree", remove)
+        (path / "lock").unlink()
+        (path / "lock").write_text("theirs", "utf-8")
+
+    monkeypatch.setattr(shutil, "rmtree", overtaken)
+    transactions._discard(folder, lock)
+    assert (folder / "lock").read_text("utf-8") == "theirs"
 
 
 def test_two_publishers_of_one_id(root: Path) -> None:
