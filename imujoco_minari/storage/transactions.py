@@ -148,6 +148,8 @@ def _discard(folder: Path, lock: int) -> None:
     """Remove a staging folder that this process has locked, unless it has the only copy of a dataset."""
     removable = _finish_replacement(folder)
     if removable:
+        # The old dataset goes before the note that says that it may.
+        shutil.rmtree(folder / _OLD_NAME, ignore_errors=True)
         shutil.rmtree(folder, ignore_errors=True)
     os.close(lock)
     if removable:
