@@ -81,14 +81,9 @@ def _read(path: Path, check: Callable[[Line], object]) -> tuple[list[Line], dict
             if (line := parsed(text, facts)) is not None:
                 check(line)
                 lines.append(line)
-        except KeyError as error:
-            raise BenchmarkError(
-                f"{path}, line {number}: not a result of the benchmark: it has no {error.args[0]}"
-            ) from None
-        except (ValueError, TypeError, AttributeError) as error:
-            raise BenchmarkError(
-                f"{path}, line {number}: not a result of the benchmark: {clipped(str(error))}"
-            ) from None
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            why = f"it has no {error.args[0]}" if isinstance(error, KeyError) else clipped(error)
+            raise BenchmarkError(f"{path}, line {number}: not a result of the benchmark: {why}") from None
     return lines, facts
 
 

@@ -69,9 +69,8 @@ def ladder(variant: Variant) -> Sequence[Rung]:
         evaluated = {name: record[name] for name in ("weights_sha256", "evaluation", "random")}
         keep_measured(variant, evaluated | {"ladder": rungs})
     if not record:
-        raise PolicyNotFoundError(
-            f"no expert policy exists for {variant}: train one with `imujoco train {variant}`"
-        )
+        # This names the missing expert and raises.
+        expert_actor(variant)
     if not rungs:
         raise PolicyNotFoundError(
             f"no ladder of policies exists for {variant}: `imujoco train {variant.base}` makes one"

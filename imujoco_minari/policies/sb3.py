@@ -51,7 +51,7 @@ def export_zip(variant: Variant, path: Path, actor: Actor | None = None, *, forc
         model.actor.load_state_dict(state, strict=True)
     except RuntimeError as error:
         raise PolicyError(f"the actor does not fit SAC's network: {error}") from None
-    # What `SAC.load` makes: the usual size, so that training can go on.
+    # `SAC.load` makes a buffer of this size, the usual one, so training can go on.
     model.buffer_size = 1_000_000
     path = path if path.suffix == ".zip" else path.with_suffix(path.suffix + ".zip")
     try:

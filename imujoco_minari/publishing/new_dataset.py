@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -82,7 +82,7 @@ def publish_written(
     Args:
         dataset: the dataset, without its episodes.
         write: writes the episodes, as a Minari storage, into the new folder that it is given.
-        asked: see :func:`find_published`. It judges a dataset that another process publishes meanwhile.
+        asked: see :func:`find_published`. A dataset that another process publishes meanwhile must have it.
         force: replace the dataset that has the id.
     """
     start = time.monotonic()
@@ -91,10 +91,9 @@ def publish_written(
         staged.mkdir()
         write(staged / "data")
         created = _check_and_commit(staged, dataset, force)
-    found = None if created else find_published(dataset.dataset_id, asked, force=False)
-    return replace(
-        found or _read_outcome(dataset.dataset_id, created=created), seconds=time.monotonic() - start
-    )
+    if not created:
+        find_published(dataset.dataset_id, asked, force=False)
+    return _read_outcome(dataset.dataset_id, created=created, seconds=time.monotonic() - start)
 
 
 def find_published(dataset_id: str, asked: Mapping[str, Any], *, force: bool) -> Published | None:

@@ -148,13 +148,13 @@ def _discard(folder: Path, lock: int) -> None:
     """Remove a staging folder that this process has locked, unless it has the only copy of a dataset."""
     removable = _finish_replacement(folder)
     if removable:
-        # The old dataset goes before the note that says that it may.
+        # First the old dataset: without the note, it could be the only copy.
         shutil.rmtree(folder / _OLD_NAME, ignore_errors=True)
         shutil.rmtree(folder, ignore_errors=True)
     os.close(lock)
     if removable:
-        # NFS renames a removed file that is open, and removes it when it is closed. Another process may have
-        # locked the folder since its old lock was removed, so only an empty one goes.
+        # NFS renames a removed file that is open, and removes it when it is closed. A folder with other files
+        # belongs to another process, which has locked it anew.
         with suppress(OSError):
             folder.rmdir()
 
